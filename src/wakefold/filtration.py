@@ -1,0 +1,422 @@
+"""The filtration: the tree of movement classes from linkage under the discrete Fréchet distance.
+
+Put the leaves in dendrogram order and every class is a contiguous range of ranks. Two arrays then hold the whole
+tree: ``order`` (rank -> track) and ``gaps`` (the height that joins neighbouring ranks); the height that joins any
+two ranks i < j is ``max(gaps[i:j])``. Everything else here is derived from these two. See docs/filtration.md.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wakefold import store
+from wakefold.dendrogram import classes, leaf_order
+from wakefold.distance import frechet_condensed, frechet_matrix
+from wakefold.tracks import Floats, Tracks
+
+Ints = NDArray[np.int64]
+Linkage = Literal["single", "complete"]
+KIND = "filtration"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Filtration:
+    """The classes of M tracks at every resolution.
+
+    Class ids: 0..M-1 are the single tracks, in track order; M.. are the merged classes by rising (birth, lo), so the
+    root is last. Merges of bit-equal height along one branch are one class with several children, which makes the
+    set of classes independent of the order of the tracks (single linkage).
+
+    Attributes:
+        order: ``(M,)`` track at each rank of the dendrogram; siblings stand in the order of their first track.
+        gaps: ``(M - 1,)`` height that joins ranks i and i + 1, metres.
+        ids: ``(M,)`` names of the tracks.
+        linkage: "single" or "complete".
+        rank: ``(M,)`` rank of each track, the inverse of ``order``.
+        lo, hi: ``(C,)`` class c holds the ranks ``lo[c] <= r < hi[c]``.
+        birth, death: ``(C,)`` class c is alive at b when ``birth[c] <= b < death[c]``, metres; inf for the root.
+        parent: ``(C,)`` class id, -1 for the root.
+
+    Raises:
+        ValueError: ``order`` is not a permutation, or a height is negative or not finite.
+    """
+
+    order: Ints
+    gaps: Floats
+    ids: NDArray[np.str_]
+    linkage: Linkage = "single"
+    rank: Ints = field(init=False)
+    lo: Ints = field(init=False)
+    hi: Ints = field(init=False)
+    birth: Floats = field(init=False)
+    death: Floats = field(init=False)
+    parent: Ints = field(init=False)
+
+    def __post_init__(self) -> None:
+        order = np.ascontiguousarray(self.order, dtype=np.int64)
+        gaps = np.ascontiguousarray(self.gaps, dtype=np.float64)
+        ids = np.asarray(self.ids, dtype=np.str_)
+        tracks = len(order)
+        if tracks == 0 or order.shape != (tracks,) or not np.array_equal(np.sort(order), np.arange(tracks)):
+            raise ValueError("order must be a permutation of the tracks, at least one")
+        if gaps.shape != (tracks - 1,) or ids.shape != (tracks,):
+            raise ValueError(f"{tracks} tracks need {tracks - 1} gaps and {tracks} ids, got {gaps.shape}, {ids.shape}")
+        if not (np.isfinite(gaps).all() and (gaps >= 0).all()):
+            raise ValueError("a height of the filtration is negative or not finite")
+        if self.linkage not in ("single", "complete"):
+            raise ValueError(f"linkage must be 'single' or 'complete', got {self.linkage!r}")
+        rank = np.empty(tracks, dtype=np.int64)
+        rank[order] = np.arange(tracks)
+        arrays = {"order": order, "gaps": gaps, "ids": ids, "rank": rank, **classes(order, rank, gaps)}
+        for name, array in arrays.items():
+            view = array.view()
+            view.flags.writeable = False
+            object.__setattr__(self, name, view)
+
+    # Making, keeping
+
+    @classmethod
+    def fit(
+        cls,
+        tracks: Tracks,
+        linkage: Linkage = "single",
+        threads: int | None = None,
+        progress: Callable[[float], None] | None = None,
+    ) -> Filtration:
+        """The exact filtration of the tracks under the discrete Fréchet distance.
+
+        Args:
+            tracks: at least one.
+            linkage: "single" (canonical) or "complete" (ties broken by track order).
+            threads: all cores by default; the result does not depend on it.
+            progress: called with the share of the work done, 0 to 1.
+
+        Raises:
+            ValueError: no tracks, an unknown linkage, or positions so far apart that a distance overflows.
+        """
+        if len(tracks) == 0:
+            raise ValueError("no tracks to build a filtration from")
+        if linkage not in ("single", "complete"):
+            raise ValueError(f"linkage must be 'single' or 'complete', got {linkage!r}")
+        if len(tracks) == 1:
+            return cls(np.zeros(1, np.int64), np.empty(0), tracks.ids, linkage)
+        return cls.from_distances(frechet_condensed(tracks, threads, progress), tracks.ids, linkage)
+
+    @classmethod
+    def from_distances(cls, distances: ArrayLike, ids: ArrayLike, linkage: Linkage = "single") -> Filtration:
+        """From distances as ``scipy.spatial.distance.pdist`` gives them, ``(M (M - 1) / 2,)``, M > 1."""
+        from scipy.cluster.hierarchy import linkage as merge
+
+        z = merge(np.asarray(distances, dtype=np.float64), method=linkage)
+        names = np.asarray(ids, dtype=np.str_)
+        first = list(range(len(names)))  # one track of each cluster, as scipy numbers them
+        edges = np.empty((len(z), 2), dtype=np.int64)
+        for row, (a, b) in enumerate(z[:, :2].astype(np.int64).tolist()):
+            edges[row] = first[a], first[b]
+            first.append(first[a])
+        order, gaps = leaf_order(edges, z[:, 2])
+        return cls(order, gaps, names, linkage)
+
+    def save(self, directory: str | os.PathLike[str]) -> None:
+        """Store as a directory of arrays and a manifest (see ``wakefold.store``)."""
+        arrays = {"order": self.order, "gaps": self.gaps, "ids": self.ids}
+        store.save(directory, arrays, {"linkage": self.linkage}, KIND)
+
+    @classmethod
+    def load(cls, directory: str | os.PathLike[str]) -> Filtration:
+        """Read what ``save`` wrote.
+
+        Raises:
+            StoreError: missing, damaged, edited, of another kind or version.
+        """
+        arrays, meta = store.load(directory, KIND)
+        try:
+            return cls(arrays["order"], arrays["gaps"], arrays["ids"], meta["linkage"])
+        except (KeyError, ValueError, TypeError) as error:
+            raise store.StoreError(f"{directory} is not a sound filtration: {error}") from None
+
+    # Classes
+
+    def __len__(self) -> int:
+        """Number of tracks, M."""
+        return len(self.order)
+
+    @property
+    def root(self) -> int:
+        """The class of all tracks."""
+        return len(self.birth) - 1
+
+    def alive(self, b: float) -> Ints:
+        """Classes alive at b (metres) in the order of their ranks: the level b, a partition of the tracks."""
+        _check_level(b)
+        classes = np.flatnonzero((self.birth <= b) & (b < self.death))
+        return classes[np.argsort(self.lo[classes])]
+
+    def cuts(self, b: float) -> Ints:
+        """``(K + 1,)`` cut points of level b: its k-th class in rank order holds the ranks cuts[k] .. cuts[k + 1]."""
+        _check_level(b)
+        return np.concatenate([[0], np.flatnonzero(self.gaps > b) + 1, [len(self)]]).astype(np.int64)
+
+    def class_at(self, track: int | str, b: float) -> int:
+        """The class of a track (index or id) at level b."""
+        return self.ancestor(self.track(track), b)
+
+    def class_of(self, tracks: Sequence[int | str] | NDArray, level: float) -> int:
+        """The class that holds all these tracks (indices or ids) at a level, metres.
+
+        Raises:
+            ValueError: no tracks, an unknown track, or tracks that lie in different classes at that level; the message
+                names the level that joins them.
+        """
+        _check_level(level)
+        ranks = self.rank[[self.track(track) for track in tracks]]
+        if not len(ranks):
+            raise ValueError("no tracks named")
+        joined = float(self.gaps[ranks.min() : ranks.max()].max(initial=0.0))
+        if joined > level:
+            raise ValueError(
+                f"the tracks lie in {len(np.unique(np.searchsorted(self.cuts(level), ranks, side='right')))} classes"
+                f" at level {level:g}; level {joined!r} joins them"
+            )
+        return self.ancestor(int(self.order[ranks[0]]), level)
+
+    def track(self, track: int | str) -> int:
+        """Index of a track given by index or by id.
+
+        Raises:
+            ValueError: there is no such track.
+        """
+        if isinstance(track, str):
+            if track not in self._index:
+                raise ValueError(f"no track has the id {track!r}")
+            return self._index[track]
+        if not 0 <= track < len(self):
+            raise ValueError(f"there is no track {track}; tracks run from 0 to {len(self) - 1}")
+        return int(track)
+
+    def ancestor(self, c: int, b: float) -> int:
+        """The class alive at b that holds class c (c itself if alive).
+
+        Raises:
+            ValueError: c is born after b.
+        """
+        _check_level(b)
+        self._check(c)
+        if self.birth[c] > b:
+            raise ValueError(f"class {c} is born at {self.birth[c]:g}, after level {b:g}")
+        while self.death[c] <= b:
+            c = int(self.parent[c])
+        return int(c)
+
+    def ancestors(self, c: int) -> Ints:
+        """The classes above c, from its parent to the root."""
+        self._check(c)
+        out = []
+        while (c := int(self.parent[c])) >= 0:
+            out.append(c)
+        return np.array(out, dtype=np.int64)
+
+    def children(self, c: int) -> Ints:
+        """The classes that merge into c, in the order of their ranks; none for a single track."""
+        self._check(c)
+        starts, listed = self._children
+        return listed[starts[c] : starts[c + 1]]
+
+    def members(self, c: int) -> Ints:
+        """Indices of the tracks of class c, in dendrogram order."""
+        self._check(c)
+        return self.order[self.lo[c] : self.hi[c]]
+
+    def tree_distance(self, a: ArrayLike, b: ArrayLike) -> Floats | float:
+        """Birth of the youngest common ancestor of classes a and b, 0 for a class and itself; arrays broadcast.
+
+        Returns:
+            metres; a float for two numbers, otherwise an array.
+        """
+        a, b = np.broadcast_arrays(np.asarray(a, dtype=np.int64), np.asarray(b, dtype=np.int64))
+        if a.size and not (min(a.min(), b.min()) >= 0 and max(a.max(), b.max()) <= self.root):
+            raise ValueError(f"classes run from 0 to {self.root}")
+        # The smallest class that holds both is born at the largest gap of the range that spans both.
+        start = np.minimum(self.lo[a], self.lo[b])
+        stop = np.where(a == b, start, np.maximum(self.hi[a], self.hi[b]) - 1)
+        table = self._range_maxima
+        width = stop - start
+        k = np.maximum(np.frexp(np.maximum(width, 1))[1] - 1, 0)  # floor of the logarithm to base 2
+        last = np.maximum(stop - (1 << k), 0)
+        found = np.where(width > 0, np.maximum(table[k, np.minimum(start, table.shape[1] - 1)], table[k, last]), 0.0)
+        return float(found) if found.ndim == 0 else found
+
+    def medoid(self, c: int, tracks: Tracks, limit: int = 1000) -> int:
+        """The member of class c whose summed Fréchet distance to the others is least (first track of several).
+
+        Args:
+            tracks: those the filtration was built from.
+            limit: of a larger class, this many members spread evenly over the dendrogram stand for the class,
+                which bounds the distances computed to limit² / 2.
+        """
+        if len(tracks) != len(self) or not np.array_equal(tracks.ids, self.ids):
+            raise ValueError("these are not the tracks of the filtration")
+        if limit < 1:
+            raise ValueError(f"limit must be at least 1, got {limit}")
+        members = self.members(c)
+        if len(members) > limit:
+            members = members[np.linspace(0, len(members) - 1, limit).round().astype(np.int64)]
+        members = np.sort(members)
+        return int(members[np.argmin(frechet_matrix(tracks.select(members)).sum(axis=1))])
+
+    # A useful handful of levels
+
+    def levels(self, number: int | None = None, *, persistence: float | None = None) -> Floats:
+        """A useful handful of levels, metres, rising.
+
+        By number (8 if nothing is said): the entropy of the class of a random track falls from log M at single
+        tracks to 0 at the root; the levels are where it has fallen by equal steps, so going from one to the next
+        forgets about as much each time. Single linkage adds outliers to a giant class one by one, and entropy
+        hardly notices these merges. The two ends are left out. Fewer levels come back where the tree has no more.
+
+        By persistence (metres): the fewest levels such that each class of two tracks or more (the root aside) with
+        ``death - birth >= persistence`` is alive at one of them.
+
+        A level returned is the lowest at which its partition holds.
+        """
+        if persistence is not None:
+            if number is not None:
+                raise ValueError("give a number or a persistence, not both")
+            return self._levels_by_persistence(persistence)
+        number = 8 if number is None else number
+        if number < 1:
+            raise ValueError(f"number must be at least 1, got {number}")
+        heights, entropy = self._entropy
+        inner = slice(1, -1) if len(heights) > 2 else slice(0, 1)
+        heights, entropy = heights[inner], entropy[inner]
+        targets = np.log(len(self)) * np.arange(number, 0, -1) / (number + 1)
+        nearest = np.abs(entropy[:, None] - targets).argmin(axis=0)
+        return np.unique(heights[nearest])
+
+    def _levels_by_persistence(self, persistence: float) -> Floats:
+        if not (persistence >= 0 and np.isfinite(persistence)):
+            raise ValueError(f"persistence must be finite and not negative, got {persistence}")
+        inner = np.arange(len(self), self.root)
+        inner = inner[self.death[inner] - self.birth[inner] >= persistence]
+        out: list[float] = []
+        # Fewest points that hit every interval: by rising death, each class not yet hit asks for a point as late as
+        # possible; the latest birth of the classes that point hits is the same point for all of them.
+        latest, first_death = 0.0, np.inf
+        for c in inner[np.argsort(self.birth[inner], kind="stable")]:
+            if self.birth[c] >= first_death:
+                out.append(latest)
+                first_death = np.inf
+            latest, first_death = float(self.birth[c]), min(first_death, float(self.death[c]))
+        return np.array([*out, latest] if len(inner) else out)
+
+    @cached_property
+    def _entropy(self) -> tuple[Floats, Floats]:
+        """Heights at which the partition changes (0 first) and the entropy of the class of a random track there."""
+        size = (self.hi - self.lo).astype(np.float64)
+        part = -size / len(self) * np.log(size / len(self))
+        inner = np.arange(len(self), len(size))
+        merged = inner[self.birth[inner] > 0]
+        drop = np.zeros(len(size))
+        np.add.at(drop, self.parent[: self.root], part[: self.root])
+        drop -= part
+        heights, group = np.unique(self.birth[merged], return_inverse=True)
+        start = np.log(len(self)) - drop[inner[self.birth[inner] == 0]].sum()
+        falls = np.bincount(group, weights=drop[merged], minlength=len(heights))
+        return np.concatenate([[0.0], heights]), np.concatenate([[start], start - np.cumsum(falls)])
+
+    # Other forms
+
+    def linkage_matrix(self) -> Floats:
+        """``(M - 1, 4)`` merges as scipy.cluster.hierarchy writes them; a class with k children takes k - 1 rows."""
+        z = np.empty((len(self) - 1, 4))
+        number = list(range(len(self))) + [0] * (len(self.birth) - len(self))  # scipy's number of each class
+        row = 0
+        for c in range(len(self), len(self.birth)):
+            children = self.children(c)
+            left, size = number[children[0]], self.hi[children[0]] - self.lo[children[0]]
+            for child in children[1:]:
+                size += self.hi[child] - self.lo[child]
+                z[row] = (*sorted((left, number[child])), self.birth[c], size)
+                left = len(self) + row
+                row += 1
+            number[c] = left
+        return z
+
+    def newick(self) -> str:
+        """The tree as one line of Newick text; a branch is as long as ``birth(parent) - birth(child)``, metres."""
+        words: list[str] = []
+        stack: list[int | str] = [self.root]
+        while stack:
+            item = stack.pop()
+            if isinstance(item, str):
+                words.append(item)
+                continue
+            above = self.parent[item]
+            length = f":{float(self.birth[above] - self.birth[item])!r}" if above >= 0 else ""
+            if item < len(self):
+                words.append(_newick_name(str(self.ids[item])) + length)
+                continue
+            words.append("(")
+            stack.append(")" + length)
+            for k, child in enumerate(self.children(item)[::-1].tolist()):
+                stack.extend([",", child] if k else [child])
+        return "".join(words) + ";"
+
+    def __repr__(self) -> str:
+        top = f", joined at {self.birth[self.root]:.6g}" if len(self) > 1 else ""
+        merged = len(self.birth) - len(self)
+        return f"Filtration({len(self):,} tracks, {merged:,} merged classes, {self.linkage} linkage{top})"
+
+    def _repr_html_(self) -> str:
+        rows = []
+        for b in [0.0, *self.levels(), float(self.birth[self.root])]:
+            size = np.diff(self.cuts(b))
+            cells = (f"{b:.6g}", f"{len(size):,}", f"{size.max():,}", f"{(size == 1).sum():,}")
+            rows.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
+        head = "".join(f"<th>{name}</th>" for name in ("level", "classes", "largest", "single tracks"))
+        return f"<p>{self!r}</p><table><tr>{head}</tr>{''.join(dict.fromkeys(rows))}</table>"
+
+    # Derived tables
+
+    @cached_property
+    def _index(self) -> dict[str, int]:
+        return {str(name): index for index, name in enumerate(self.ids)}
+
+    @cached_property
+    def _children(self) -> tuple[Ints, Ints]:
+        """Children of class c: ``listed[starts[c]:starts[c + 1]]``."""
+        listed = np.lexsort((self.lo[: self.root], self.parent[: self.root]))
+        count = np.bincount(self.parent[: self.root], minlength=len(self.parent))
+        return np.concatenate([[0], np.cumsum(count)]), listed
+
+    @cached_property
+    def _range_maxima(self) -> Floats:
+        """Sparse table ``(log2 M, M - 1)``: row k holds the maxima of 2^k neighbouring gaps."""
+        rows = [self.gaps if len(self.gaps) else np.zeros(1)]
+        while 1 << len(rows) <= len(self.gaps):
+            half = 1 << (len(rows) - 1)
+            row = rows[-1].copy()
+            row[:-half] = np.maximum(row[:-half], rows[-1][half:])
+            rows.append(row)
+        return np.stack(rows)
+
+    def _check(self, c: int) -> None:
+        if not 0 <= c <= self.root:
+            raise ValueError(f"there is no class {c}; classes run from 0 to {self.root}")
+
+
+def _check_level(b: float) -> None:
+    if not b >= 0:
+        raise ValueError(f"a level must not be negative or NaN, got {b}")
+
+
+def _newick_name(name: str) -> str:
+    """Quoted unless plain: Newick reads an unquoted underscore as a blank."""
+    return name if name and name.replace(".", "").replace("-", "").isalnum() else "'" + name.replace("'", "''") + "'"
