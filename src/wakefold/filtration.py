@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wakefold import store
 from wakefold.dendrogram import classes, leaf_order
-from wakefold.distance import frechet_condensed, frechet_matrix
+from wakefold.distance import frechet_matrix
 from wakefold.tracks import Floats, Tracks
 
 Ints = NDArray[np.int64]
@@ -107,14 +107,16 @@ class Filtration:
             raise ValueError(f"linkage must be 'single' or 'complete', got {linkage!r}")
         if len(tracks) == 1:
             return cls(np.zeros(1, np.int64), np.empty(0), tracks.ids, linkage)
-        return cls.from_distances(frechet_condensed(tracks, threads, progress), tracks.ids, linkage)
+        distances = frechet_matrix(tracks, threads=threads, progress=progress)
+        return cls.from_distances(distances, tracks.ids, linkage)
 
     @classmethod
     def from_distances(cls, distances: ArrayLike, ids: ArrayLike, linkage: Linkage = "single") -> Filtration:
-        """From distances as ``scipy.spatial.distance.pdist`` gives them, ``(M (M - 1) / 2,)``, M > 1."""
+        """The filtration of any symmetric distances, ``(M, M)`` with zeros on the diagonal, M > 1."""
         from scipy.cluster.hierarchy import linkage as merge
+        from scipy.spatial.distance import squareform
 
-        z = merge(np.asarray(distances, dtype=np.float64), method=linkage)
+        z = merge(squareform(np.asarray(distances, dtype=np.float64)), method=linkage)
         names = np.asarray(ids, dtype=np.str_)
         first = list(range(len(names)))  # one track of each cluster, as scipy numbers them
         edges = np.empty((len(z), 2), dtype=np.int64)

@@ -1,31 +1,132 @@
+"""The discrete Fréchet distance of many pairs at once, one pair per SIMD lane.
+
+Eiter and Mannila (1994), Table 1: with d the distance of two points,
+
+    c(i, j) = max(d(a_i, b_j), min(c(i-1, j), c(i, j-1), c(i-1, j-1))),    F = c(last, last)
+
+The programme runs on squared distances and takes one root at the end. That changes no bit: the root is monotone and
+correctly rounded, so it commutes with max and min, and F = sqrt(max of squares) = max of sqrt(squares).
+
+Tracks of different length share the lanes of a batch: the shorter are padded with copies of their last point. That
+changes no distance, since standing still at the end is what a coupling may do anyway.
+"""
+
+from __future__ import annotations
+
+# The first parameter of an intrinsic is numba's typing context, which the caller does not give.
+# pyright: reportCallIssue=false
 import numpy as np
 from numba import njit
 
+from wakefold.kernels.simd import LANES, fill, higher, load, lower, point, squared_distance, store
+
+TILE = 4  # rows of the table carried through one sweep of the columns, so that each column is loaded a quarter as often
+LANES32, LANES64 = LANES["float32"], LANES["float64"]
+
 
 @njit(cache=True, nogil=True)
-def rows_plain(points, offsets, first, last, out):
-    m = len(offsets) - 1
+def lanes_of(array):
+    """Lanes of a vector of the array's dtype."""
+    return LANES32 if array.itemsize == 4 else LANES64
+
+
+@njit(cache=True, nogil=True)
+def pack(points, start, stop, rows, out, lane):
+    """Write one track into a lane of a batch and pad it with its last point.
+
+    Args:
+        points: ``(P, d)`` of the batch's dtype; the track is rows ``start:stop``.
+        rows: points the batch has, >= stop - start.
+        out: ``(>= rows * d * LANES,)`` flat batch, see ``wakefold.kernels.simd``.
+    """
     d = points.shape[1]
-    row = np.empty(np.max(offsets[1:] - offsets[:-1]))
-    for i in range(first, last):
-        base = i * m - i * (i + 1) // 2 - i - 1
-        na = offsets[i + 1] - offsets[i]
-        for j in range(i + 1, m):
-            nb = offsets[j + 1] - offsets[j]
-            left = np.inf
-            for p in range(na):
-                left = np.inf
-                diag = np.inf
-                for q in range(nb):
-                    s = 0.0
-                    for k in range(d):
-                        t = points[offsets[i] + p, k] - points[offsets[j] + q, k]
-                        s += t * t
-                    up = row[q] if p else np.inf
-                    best = min(min(up, left), diag)
-                    if p == 0 and q == 0:
-                        best = 0.0
-                    diag = up
-                    left = max(s, best)
-                    row[q] = left
-            out[base + j] = np.sqrt(left)
+    lanes = lanes_of(out)
+    for row in range(rows):
+        source = min(start + row, stop - 1)
+        for axis in range(d):
+            out[(row * d + axis) * lanes + lane] = points[source, axis]
+
+
+@njit(cache=True, nogil=True)
+def batch_squared(a, rows, b, columns, table, axes):
+    """Squared Fréchet distances of one batch, left in ``table[(columns - 1) * LANES : columns * LANES]``.
+
+    Args:
+        a: batch of ``rows`` points, a multiple of TILE.
+        b: batch of ``columns`` points.
+        table: ``(>= columns * LANES,)`` scratch: the last row of the table computed so far.
+        axes: tuple of d integers.
+    """
+    never = fill(table, np.inf)
+    for j in range(columns):
+        store(table, j, never)
+    corner = fill(table, 0.0)  # c(-1, -1): a coupling starts at (0, 0) only
+    for i in range(0, rows, TILE):
+        a0, a1, a2, a3 = point(a, i, axes), point(a, i + 1, axes), point(a, i + 2, axes), point(a, i + 3, axes)
+        left0 = left1 = left2 = left3 = never
+        for j in range(columns):
+            p = point(b, j, axes)
+            above = load(table, j)
+            # The neighbour that was finished last enters the minimum last, which keeps the chain of waits short.
+            c0 = higher(squared_distance(a0, p), lower(above, lower(corner, left0)))
+            c1 = higher(squared_distance(a1, p), lower(c0, lower(left0, left1)))
+            c2 = higher(squared_distance(a2, p), lower(c1, lower(left1, left2)))
+            c3 = higher(squared_distance(a3, p), lower(c2, lower(left2, left3)))
+            store(table, j, c3)
+            corner, left0, left1, left2, left3 = above, c0, c1, c2, c3
+        corner = never
+
+
+@njit(cache=True, nogil=True)
+def pack_columns(points, offsets, columns, width, begin, out):
+    """Pack tracks into batches of LANES neighbours in ``columns``; the last batch repeats its last track.
+
+    Args:
+        points, offsets: ragged tracks.
+        columns: ``(n,)`` track of each column, batches of similar length if it is sorted by length.
+        width: ``(batches,)`` points of the longest track of each batch.
+        begin: ``(batches + 1,)`` first point of each batch in ``out``, counted in points of all lanes.
+        out: flat, ``(begin[-1] * d * LANES,)``.
+    """
+    d = points.shape[1]
+    lanes = lanes_of(out)
+    for g in range(len(width)):
+        batch = out[begin[g] * d * lanes : begin[g + 1] * d * lanes]
+        for lane in range(lanes):
+            track = columns[min(g * lanes + lane, len(columns) - 1)]
+            pack(points, offsets[track], offsets[track + 1], width[g], batch, lane)
+
+
+@njit(cache=True, nogil=True)
+def rows_against_columns(points, offsets, rows, skip, columns, width, begin, packed, axes, mirror, out):
+    """Fréchet distances of some tracks to packed columns, ``out[track, column's track]``.
+
+    Args:
+        points, offsets: ragged tracks of the rows.
+        rows: ``(r,)`` tracks.
+        skip: ``(r,)`` leading columns each row does not need.
+        columns, width, begin, packed: see ``pack_columns``.
+        axes: tuple of d integers.
+        mirror: write ``out[column's track, track]`` too.
+        out: written where a row needs a column; distances, not squared.
+    """
+    d = points.shape[1]
+    lanes = lanes_of(packed)
+    longest = 0
+    for track in rows:
+        longest = max(longest, offsets[track + 1] - offsets[track])
+    a = np.empty((longest + TILE) * d * lanes, packed.dtype)
+    table = np.empty(max(1, np.max(width)) * lanes, packed.dtype)
+    for r in range(len(rows)):
+        track = rows[r]
+        height = (offsets[track + 1] - offsets[track] + TILE - 1) // TILE * TILE
+        for lane in range(lanes):
+            pack(points, offsets[track], offsets[track + 1], height, a, lane)
+        for g in range(skip[r] // lanes, len(width)):
+            batch = packed[begin[g] * d * lanes : begin[g + 1] * d * lanes]
+            batch_squared(a, height, batch, width[g], table, axes)
+            for column in range(max(skip[r], g * lanes), min((g + 1) * lanes, len(columns))):
+                distance = np.sqrt(table[(width[g] - 1) * lanes + column - g * lanes])
+                out[track, columns[column]] = distance
+                if mirror:
+                    out[columns[column], track] = distance
