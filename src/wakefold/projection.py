@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 class Projection:
     """Azimuthal equidistant projection on WGS84 about a centre, degrees.
 
-    It has no seam (the antimeridian is nowhere special) and works at the poles; within 1,000 km of the centre
-    lengths are true to 0.5 %.
+    Distances from the centre are true. It has no seam (the antimeridian is nowhere special) and works at the
+    poles; within 1,000 km of the centre all lengths are true to 0.5 %, within 100 km to 0.005 %.
     """
 
     lon: float
@@ -22,7 +22,15 @@ class Projection:
 
     @classmethod
     def of(cls, lon: ArrayLike, lat: ArrayLike) -> Projection:
-        """Centred on the mean direction of the positions (degrees), so that -179 and 179 average to 180."""
+        """Centred on the mean direction of the positions (degrees), so that -179 and 179 average to 180.
+
+        The centre is rounded to 1e-4 degrees (about 10 m): a different order of the rows gives the same plane.
+
+        Raises:
+            ValueError: no positions, or one that is not finite or has a latitude beyond a pole.
+        """
+        if np.size(lon) == 0 or not (np.isfinite(lon).all() and (np.abs(lat) <= 90).all()):
+            raise ValueError("a projection needs positions with finite longitude and latitude in -90..90 degrees")
         lam, phi = np.radians(np.asarray(lon, dtype=np.float64)), np.radians(np.asarray(lat, dtype=np.float64))
         x, y, z = (np.cos(phi) * np.cos(lam)).mean(), (np.cos(phi) * np.sin(lam)).mean(), np.sin(phi).mean()
         return cls(
@@ -37,7 +45,7 @@ class Projection:
         return Transformer.from_crs("EPSG:4326", plane, always_xy=True)
 
     def to_plane(self, lon: ArrayLike, lat: ArrayLike) -> NDArray[np.float64]:
-        """``(n, 2)`` metres east and north of the centre."""
+        """``(n, 2)`` metres east and north of the centre; NaN or inf where a position is not one."""
         x, y = self._transformer.transform(np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64))
         return np.stack([np.atleast_1d(x), np.atleast_1d(y)], axis=1)
 
@@ -48,4 +56,5 @@ class Projection:
         return np.stack([lon, lat], axis=1)
 
     def __str__(self) -> str:
-        return f"metres about {abs(self.lat):.4g}°{'N' if self.lat >= 0 else 'S'} {abs(self.lon):.4g}°{'E' if self.lon >= 0 else 'W'}"
+        north, east = "N" if self.lat >= 0 else "S", "E" if self.lon >= 0 else "W"
+        return f"metres about {abs(self.lat):.4g}°{north} {abs(self.lon):.4g}°{east}"

@@ -1,0 +1,214 @@
+"""Choosing, cutting and thinning tracks. Each function is also a method of `Tracks` and returns new tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wakefold import ragged
+from wakefold.projection import Projection
+from wakefold.units import Duration, Length, Time, metres, seconds, timestamp
+
+if TYPE_CHECKING:
+    from wakefold.tracks import Tracks
+
+
+def filter(
+    tracks: Tracks,
+    *,
+    min_points: int = 0,
+    min_length: Length = 0.0,
+    min_duration: Duration = 0.0,
+    box: tuple[float, float, float, float] | None = None,
+    lonlat_box: tuple[float, float, float, float] | None = None,
+    time: tuple[Time | None, Time | None] | None = None,
+    agents: Collection[str | int] | None = None,
+) -> Tracks:
+    """The tracks that meet every condition, whole; ``notes`` says how many failed which.
+
+    Args:
+        min_points: fewest points of a track.
+        min_length: shortest distance travelled, metres or such as "2km".
+        min_duration: shortest duration, seconds or such as "10min".
+        box: (x0, y0, x1, y1), metres; every point of the track lies in it, edges included.
+        lonlat_box: (west, south, east, north), degrees, likewise; west > east crosses the antimeridian.
+        time: (begin, end); every point lies in begin <= t < end; None leaves a side open.
+        agents: values of the attribute ``agent``, or track ids where there is no such attribute.
+    """
+    tests = {
+        "min_points": tracks.lengths >= min_points,
+        "min_length": tracks.length >= metres(min_length),
+        "min_duration": tracks.duration >= seconds(min_duration),
+    }
+    if box is not None:
+        x0, y0, x1, y1 = box
+        x, y = tracks.points[:, 0], tracks.points[:, min(1, tracks.dim - 1)]
+        tests["box"] = _every(tracks.offsets, (x0 <= x) & (x <= x1) & (y0 <= y) & (y <= y1))
+    if lonlat_box is not None:
+        west, south, east, north = lonlat_box
+        lon, lat = geodetic(tracks).to_geodetic(tracks.points).T
+        between = (lon - west) % 360 <= (east - west if east - west == 360 else (east - west) % 360)
+        tests["lonlat_box"] = _every(tracks.offsets, between & (south <= lat) & (lat <= north))
+    if time is not None:
+        begin, end = time
+        after = tracks.times >= timestamp(begin) if begin is not None else True
+        before = tracks.times < timestamp(end) if end is not None else True
+        tests["time"] = _every(tracks.offsets, np.ones(len(tracks.times), dtype=bool) & after & before)
+    if agents is not None:
+        tests["agents"] = np.isin(_agents(tracks).astype(np.str_), [str(a) for a in agents])
+    good, failed = np.ones(len(tracks), dtype=bool), []
+    for name, passed in tests.items():
+        if (good & ~passed).any():
+            failed.append(f"{(good & ~passed).sum():,} by {name}")
+        good &= passed
+    left_out = [f"filter: {(~good).sum():,} of {len(tracks):,} tracks left out ({', '.join(failed)})"] if failed else []
+    return _noted(tracks.select(good), left_out)
+
+
+def segment(
+    tracks: Tracks,
+    max_gap: Duration | None = None,
+    *,
+    min_points: int = 2,
+    stop_radius: Length | None = None,
+    stop_time: Duration | None = None,
+) -> Tracks:
+    """Tracks cut where the agent was silent and where it stood still.
+
+    A gap is more than ``max_gap`` between two successive points. A stop is a maximal run of points that stays
+    within ``stop_radius`` of its first point for at least ``stop_time``, gaps or not, the earliest first; its
+    points are cut out and the moving pieces before and after it are kept.
+
+    Piece k of track "a" is called "a#k", counted before short pieces are left out. The attribute ``agent``
+    (the id of the track cut, where there was none) and all other attributes are repeated for every piece.
+    ``notes`` says how many stops, short pieces and points were left out.
+
+    Args:
+        max_gap: seconds, or such as "30min".
+        min_points: pieces with fewer points are left out; 1 keeps all.
+        stop_radius: metres, or such as "50m".
+        stop_time: seconds, or such as "10min".
+
+    Raises:
+        ValueError: neither a gap nor a stop is given, or only one of the two numbers of a stop.
+    """
+    if (stop_radius is None) != (stop_time is None):
+        raise ValueError("a stop needs both stop_radius and stop_time")
+    if max_gap is None and stop_radius is None:
+        raise ValueError("give max_gap, or stop_radius and stop_time")
+    moving = np.ones(len(tracks.points), dtype=bool)
+    if stop_radius is not None and stop_time is not None:
+        from wakefold.kernels.shaping import stop_mask
+
+        if not (least := seconds(stop_time)) > 0:
+            raise ValueError("stop_time must be above 0")
+        moving = ~stop_mask(tracks.points, tracks.times, tracks.offsets, metres(stop_radius), least)
+    longest = np.inf if max_gap is None else seconds(max_gap)
+    cut = ragged.pieces(tracks.offsets, moving, ragged.gaps(tracks.times, tracks.offsets, longest))
+    ids = np.array([f"{tracks.ids[i]}#{k}" for i, k in zip(cut.track, cut.number, strict=True)], dtype=np.str_)
+    every = take(tracks, cut.rows, cut.offsets, cut.track, ids)
+    every = replace(every, attributes={**every.attributes, "agent": _agents(tracks)[cut.track]})
+    short = every.lengths < min_points
+    notes = [f"segment: {len(tracks):,} tracks cut into {len(every):,} pieces"]
+    if not moving.all():
+        notes.append(f"segment: {(~moving).sum():,} points in stops left out")
+    if short.any():
+        lost = every.lengths[short].sum()
+        notes.append(f"segment: {short.sum():,} pieces of under {min_points} points left out ({lost:,} points)")
+    return _noted(every.select(~short), notes)
+
+
+def resample(tracks: Tracks, spacing: Length | None = None, *, period: Duration | None = None) -> Tracks:
+    """New points by linear interpolation, evenly along each track or evenly in time.
+
+    First and last points stay as they are. By distance, a track is divided into the fewest equal steps no
+    longer than ``spacing`` (along the track; standing still is one long step, a track that never moves keeps
+    its two ends). By time, points are ``period`` apart from the first on; the last step may be shorter.
+    Gaps are bridged in a straight line: `segment` first. Attributes stay, per-point columns go.
+
+    Args:
+        spacing: metres, or such as "200m".
+        period: seconds, or such as "60s".
+
+    Raises:
+        ValueError: both or neither given, one of them 0, or more than 1e9 points would come of it.
+    """
+    if spacing is not None and period is None:
+        rulers, step = ragged.distance_along(tracks.points, tracks.offsets), metres(spacing)
+        marks = ragged.even_distances
+    elif period is not None and spacing is None:
+        rulers, step = tracks.times, seconds(period)
+        marks = ragged.even_times
+    else:
+        raise ValueError("give either spacing or period")
+    if step == 0:
+        raise ValueError("spacing or period must be above 0")
+    points, times, offsets = ragged.interpolate(tracks.points, tracks.times, tracks.offsets, rulers, step, marks)
+    return replace(tracks, points=points, times=times, offsets=offsets, columns={})
+
+
+def simplify(tracks: Tracks, tolerance: Length) -> Tracks:
+    """Fewer points: every point left out lies within ``tolerance`` of the line between its kept neighbours
+    (Douglas and Peucker 1973). Only the shape counts, not the times.
+
+    Args:
+        tolerance: metres, or such as "20m".
+    """
+    from wakefold.kernels.shaping import douglas_peucker
+
+    kept = douglas_peucker(tracks.points, tracks.offsets, metres(tolerance))
+    offsets = np.append(0, np.cumsum(kept))[tracks.offsets]
+    thinned = take(tracks, np.flatnonzero(kept), offsets, np.arange(len(tracks)), tracks.ids)
+    return _noted(thinned, [f"simplify: {(~kept).sum():,} of {len(kept):,} points left out"])
+
+
+def project(tracks: Tracks, projection: Projection) -> Tracks:
+    """The same tracks in another plane: what is compared must share one. Third coordinates stay.
+
+    Raises:
+        ValueError: the tracks are planar.
+    """
+    if projection == tracks.projection:
+        return tracks
+    lonlat = geodetic(tracks).to_geodetic(tracks.points)
+    points = np.column_stack([projection.to_plane(*lonlat.T), tracks.points[:, 2:]])
+    return replace(tracks, points=points, projection=projection)
+
+
+def take(
+    tracks: Tracks, rows: NDArray[Any], offsets: NDArray[np.int64], track: NDArray[np.int64], ids: NDArray
+) -> Tracks:
+    """New tracks from ``rows`` of the points; new track k has the attributes of old track ``track[k]``."""
+    return replace(
+        tracks,
+        points=tracks.points[rows],
+        times=tracks.times[rows],
+        offsets=offsets,
+        ids=ids,
+        attributes={name: values[track] for name, values in tracks.attributes.items()},
+        columns={name: values[rows] for name, values in tracks.columns.items()},
+    )
+
+
+def geodetic(tracks: Tracks) -> Projection:
+    """The projection of tracks that have one; ValueError for planar tracks."""
+    if tracks.projection is None:
+        raise ValueError("these tracks are planar: they have no longitude and latitude")
+    return tracks.projection
+
+
+def _agents(tracks: Tracks) -> NDArray[Any]:
+    return tracks.attributes.get("agent", tracks.ids)
+
+
+def _every(offsets: NDArray[np.int64], passed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """``(M,)`` whether all points of a track passed."""
+    return ragged.sum_by_track((~passed).astype(np.float64), offsets) == 0
+
+
+def _noted(tracks: Tracks, notes: Sequence[str]) -> Tracks:
+    return replace(tracks, notes=(*tracks.notes, *notes)) if notes else tracks

@@ -1,0 +1,86 @@
+"""Durations, lengths and times as people write them, turned into seconds and metres."""
+
+from __future__ import annotations
+
+import math
+import re
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+
+Duration = float | str | timedelta | np.timedelta64
+Length = float | str
+Time = float | str | datetime | np.datetime64
+
+_SECONDS = {"ms": 1e-3, "s": 1.0, "sec": 1.0, "second": 1.0, "min": 60.0, "minute": 60.0}
+_SECONDS |= {"h": 3600.0, "hr": 3600.0, "hour": 3600.0, "d": 86400.0, "day": 86400.0}
+_METRES = {"m": 1.0, "metre": 1.0, "meter": 1.0, "km": 1000.0, "nmi": 1852.0, "ft": 0.3048}
+_PART = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*([a-z]*)\s*")
+
+
+def seconds(duration: Duration) -> float:
+    """A duration in seconds: 1800, "1800", "30min", "1h 30min", "0.5 h", a timedelta.
+
+    Raises:
+        ValueError: not a duration, negative or not finite.
+    """
+    if isinstance(duration, timedelta):
+        return _checked(duration.total_seconds(), duration, "a duration")
+    if isinstance(duration, np.timedelta64):
+        return _checked(float(duration / np.timedelta64(1, "s")), duration, "a duration")
+    return _measure(duration, _SECONDS, 's", "30min", "1h 30min', "a duration")
+
+
+def metres(length: Length) -> float:
+    """A length in metres (or the data's plane units): 200, "200", "200m", "1.5 km", "2 nmi" (nautical miles).
+
+    Raises:
+        ValueError: not a length, negative or not finite.
+    """
+    return _measure(length, _METRES, 'm", "1.5km", "2nmi', "a length")
+
+
+def timestamp(time: Time) -> float:
+    """A moment in seconds UTC since 1970: 1.6e9, "2020-12-08", "2020-12-08T06:30:00Z", a datetime.
+
+    A time that names no zone is UTC.
+
+    Raises:
+        ValueError: not a time, or not finite.
+    """
+    if isinstance(time, str):
+        try:
+            time = datetime.fromisoformat(time.strip())
+        except ValueError:
+            raise ValueError(f'{time!r} is not a time such as "2020-12-08" or "2020-12-08T06:30:00Z"') from None
+    if isinstance(time, datetime):
+        return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
+    if isinstance(time, np.datetime64):
+        time = float((time - np.datetime64(0, "s")) / np.timedelta64(1, "s"))
+    if not math.isfinite(time):
+        raise ValueError(f"{time!r} is not a time")
+    return float(time)
+
+
+def _measure(value: float | str, units: dict[str, float], examples: str, what: str) -> float:
+    if not isinstance(value, str):
+        return _checked(float(value), value, what)
+    text = value.strip().lower()
+    try:
+        return _checked(float(text), value, what)
+    except ValueError:
+        total, position = 0.0, 0
+        while part := _PART.match(text, position):
+            unit = part[2] if part[2] in units else part[2].removesuffix("s")
+            if unit not in units:
+                break
+            total, position = total + float(part[1]) * units[unit], part.end()
+        if position == 0 or position != len(text):
+            raise ValueError(f'{value!r} is not {what} such as "200{examples}"') from None
+        return _checked(total, value, what)
+
+
+def _checked(number: float, given: object, what: str) -> float:
+    if not (math.isfinite(number) and number >= 0):
+        raise ValueError(f"{given!r} is not {what}: it must be finite and not negative")
+    return number
