@@ -49,3 +49,47 @@ def douglas_peucker(points, tolerance):
     split = 1 + away.index(max(away))
     left, right = douglas_peucker(points[: split + 1], tolerance), douglas_peucker(points[split:], tolerance)
     return left + [split + row for row in right[1:]]
+
+
+# Distance and filtration
+
+
+def frechet(a, b):
+    """Discrete Fréchet distance, Eiter and Mannila (1994), Table 1, on distances (not squares)."""
+    c = {}
+    for i in range(len(a)):
+        for j in range(len(b)):
+            total = 0.0
+            for x, y in zip(a[i].tolist(), b[j].tolist(), strict=True):
+                total = total + (x - y) * (x - y)
+            before = [c[cell] for cell in ((i - 1, j), (i, j - 1), (i - 1, j - 1)) if cell in c]
+            c[i, j] = max(math.sqrt(total), min(before)) if before else math.sqrt(total)
+    return c[len(a) - 1, len(b) - 1]
+
+
+def components(distances, height):
+    """Set of frozensets: the parts of the graph that joins tracks no further apart than the height."""
+    parts = [{i} for i in range(len(distances))]
+    for i in range(len(distances)):
+        for j in range(i):
+            if distances[i][j] <= height:
+                (p,) = (part for part in parts if i in part)
+                (q,) = (part for part in parts if j in part)
+                if p is not q:
+                    parts.remove(q)
+                    p |= q
+    return {frozenset(part) for part in parts}
+
+
+def single_linkage(distances):
+    """All classes as {frozenset of tracks: (birth, death)}, from the partition at every distance there is."""
+    heights = sorted({float(d) for row in distances for d in row} | {0.0})
+    out = {frozenset([i]): (0.0, math.inf) for i in range(len(distances))}
+    for height in heights:
+        parts = components(distances, height)
+        for part in parts:
+            out.setdefault(part, (height, math.inf))
+        for part, (birth, death) in out.items():
+            if death == math.inf and part not in parts:
+                out[part] = (birth, height)
+    return out

@@ -67,7 +67,7 @@ def frechet_matrix(
     out = np.zeros((len(tracks), len(others)), dtype=dtype)
     if out.size == 0:
         return out
-    (points, other_points), unit = _in_units([tracks.points, others.points], dtype)
+    (points, other_points), exponent = _in_units([tracks.points, others.points], dtype)
 
     # Longest first: neighbours in a batch are of similar length, and each row meets only columns no longer than it.
     rows, columns = (np.argsort(-each.lengths, kind="stable") for each in (tracks, others))
@@ -89,24 +89,25 @@ def frechet_matrix(
         )
 
     thread_map(work, pieces, threads, progress)
+    with np.errstate(over="ignore"):
+        np.ldexp(out, exponent, out=out)
     if not np.isfinite(out).all():
         a, b = np.argwhere(~np.isfinite(out))[0]
         raise ValueError(f"tracks {str(tracks.ids[a])!r} and {str(others.ids[b])!r} are too far apart: overflow")
-    out *= unit
     return out
 
 
-def _in_units(points: list[Floats], dtype: str) -> tuple[list[NDArray[np.floating]], float]:
-    """Points as the kernel takes them, and what its distances are to be multiplied by.
+def _in_units(points: list[Floats], dtype: str) -> tuple[list[NDArray[np.floating]], int]:
+    """Points as the kernel takes them, and the power of two its distances are to be multiplied by.
 
-    float64: as given. float32: about the middle of the bounding box of all of them, in units of a power of two that
-    no extent exceeds: scaling is exact, squares cannot overflow, and the rounding of a coordinate is bounded by the
-    extent of the box, however far from the origin it lies.
+    float64: as given. float32: about the middle of the bounding box of all of them, in units of half its longest side
+    rounded down to a power of two. Scaling is exact, squares cannot overflow, and rounding a coordinate costs a share
+    of the size of the box, however far from the origin it lies.
     """
     if dtype == "float64":
-        return list(points), 1.0
+        return list(points), 0
     low = np.min([each.min(axis=0) for each in points], axis=0)
     high = np.max([each.max(axis=0) for each in points], axis=0)
     middle = low / 2 + high / 2
-    unit = 2.0 ** np.frexp((high / 2 - low / 2).max())[1]
-    return [((each - middle) / unit).astype(np.float32) for each in points], float(unit)
+    exponent = int(np.frexp((high / 2 - low / 2).max())[1]) - 1
+    return [np.ldexp(each - middle, -exponent).astype(np.float32) for each in points], exponent
