@@ -1,0 +1,96 @@
+"""Times of files as seconds (UTC, since 1970): ISO 8601, a strptime format, or numbers in a unit.
+
+A ``time_format`` is None (ISO 8601 text, or numbers that are seconds), one of the units "s", "ms", "us", "ns" for
+numbers, or a strptime format such as ``%d/%m/%Y %H:%M:%S``. Times without an offset are UTC.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+from numpy.typing import NDArray
+
+from wakefold.io.records import as_text
+
+Floats = NDArray[np.float64]
+
+PER_SECOND = {"s": 1, "ms": 1000, "us": 10**6, "ns": 10**9}
+"""Units of numeric times."""
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
+_OFFSET = re.compile(r"\d(Z|[+-]\d\d:?\d\d)$")
+
+
+def arrow_type(samples: Sequence[str], time_format: str | None) -> pa.DataType:
+    """The type in which pyarrow's CSV parser can read times that look like these; binary if in none."""
+    samples = [text for text in samples if text]
+    if time_format in PER_SECOND or (time_format is None and samples and all(map(_NUMBER.fullmatch, samples))):
+        return pa.float64()
+    if time_format is not None and ("%z" in time_format or "%f" in time_format):
+        return pa.binary()  # pyarrow's strptime does not know these: one by one
+    if time_format is None and any(map(_OFFSET.search, samples)):
+        return pa.timestamp("us", tz="UTC")
+    return pa.timestamp("us")
+
+
+def parsers(time_format: str | None) -> list[Any]:
+    """What pyarrow's CSV parser takes as ``timestamp_parsers``."""
+    return [pyarrow.csv.ISO8601 if time_format is None or time_format in PER_SECOND else time_format]
+
+
+def from_arrow(values: pa.Array, time_format: str | None) -> Floats:
+    """``(n,)`` seconds of numbers (in the unit of the format), timestamps or dates; NaN for nulls.
+
+    Raises:
+        ValueError: they are none of these.
+    """
+    if pa.types.is_date(values.type):
+        values = values.cast(pa.timestamp("s"))
+    if pa.types.is_timestamp(values.type):
+        return _scaled(values.cast(pa.int64()), PER_SECOND[values.type.unit])
+    if pa.types.is_integer(values.type) or pa.types.is_floating(values.type):
+        return _scaled(values, PER_SECOND.get(time_format or "s", 1))
+    raise ValueError(f"times of type {values.type} are not understood")
+
+
+def _scaled(values: pa.Array, per_second: int) -> Floats:
+    return values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False) / per_second
+
+
+def from_text(values: Sequence[Any], time_format: str | None) -> Floats:
+    """``(n,)`` seconds of texts; NaN for those that are no time."""
+    if time_format is None:
+        try:  # all of them ISO 8601 without an offset
+            return from_arrow(pa.array(values).cast(pa.string()).cast(pa.timestamp("us")), None)
+        except (pa.ArrowInvalid, pa.ArrowTypeError, UnicodeDecodeError):
+            pass
+    texts = [as_text(value) for value in values]
+    return np.array([parse(text) if time_format is None else _formatted(text, time_format) for text in texts])
+
+
+def parse(text: str | float | None) -> float:
+    """Seconds of an ISO 8601 text or a number; NaN if it is neither."""
+    try:
+        if isinstance(text, (int, float)):
+            return float(text)
+        if _NUMBER.fullmatch(text or ""):
+            return float(text or "")
+        moment = datetime.fromisoformat(text or "")
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, OverflowError):
+        return np.nan
+
+
+def _formatted(text: str, time_format: str) -> float:
+    try:
+        if time_format in PER_SECOND:
+            return float(text) / PER_SECOND[time_format]
+        moment = datetime.strptime(text, time_format)
+        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, OverflowError):
+        return np.nan
