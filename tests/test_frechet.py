@@ -70,7 +70,7 @@ def test_one_pair():
 def test_dogs_on_short_leads():
     """Known answers: parallel lines, a detour, a track walked backwards, a track at rest."""
     line = np.stack([np.arange(11.0), np.zeros(11)], axis=1)
-    assert frechet(line, line + [0, 3]) == 3
+    assert frechet(line, line + np.array([0, 3])) == 3
     assert frechet(line, line[::2]) == 1
     assert frechet(line, line[::-1]) == 10
     assert frechet(line, [[5.0, 12.0]]) == 13
