@@ -1,3 +1,59 @@
 """Wakefold tells, at every scale at once, what a moving agent is doing."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from wakefold.belief import Belief
+    from wakefold.evidence import CoarseClass, Fix
+    from wakefold.filters.bootstrap import BL1, BL2
+    from wakefold.filters.mhpf import MHPF
+    from wakefold.filtration import Filtration
+    from wakefold.io import read_tracks, write_tracks
+    from wakefold.model import Model, learn, load
+    from wakefold.tracks import Tracks
+
+_WHERE = {  # looked up on first use: importing the package costs no numba, pyarrow or matplotlib
+    "BL1": "filters.bootstrap",
+    "BL2": "filters.bootstrap",
+    "Belief": "belief",
+    "CoarseClass": "evidence",
+    "Filtration": "filtration",
+    "Fix": "evidence",
+    "MHPF": "filters.mhpf",
+    "Model": "model",
+    "Tracks": "tracks",
+    "learn": "model",
+    "load": "model",
+    "read_tracks": "io",
+    "write_tracks": "io",
+}
+__all__ = [  # noqa: RUF022 (by subject)
+    "read_tracks",
+    "write_tracks",
+    "Tracks",
+    "Filtration",
+    "Model",
+    "learn",
+    "load",
+    "Fix",
+    "CoarseClass",
+    "Belief",
+    "MHPF",
+    "BL1",
+    "BL2",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module 'wakefold' has no attribute {name!r}")
+    value = getattr(import_module(f"wakefold.{_WHERE[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_WHERE})

@@ -8,10 +8,10 @@ two ranks i < j is ``max(gaps[i:j])``. Everything else here is derived from thes
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -126,10 +126,25 @@ class Filtration:
         order, gaps = leaf_order(edges, z[:, 2])
         return cls(order, gaps, names, linkage)
 
+    def packed(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Arrays and JSON metadata that ``unpacked`` takes back."""
+        return {"order": self.order, "gaps": self.gaps, "ids": self.ids}, {"linkage": self.linkage}
+
+    @classmethod
+    def unpacked(cls, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> Filtration:
+        """The filtration that ``packed`` took apart.
+
+        Raises:
+            StoreError: something is missing or unsound.
+        """
+        try:
+            return cls(arrays["order"], arrays["gaps"], arrays["ids"], meta["linkage"])
+        except (KeyError, ValueError, TypeError) as error:
+            raise store.StoreError(f"not a sound filtration: {error}") from None
+
     def save(self, directory: str | os.PathLike[str]) -> None:
         """Store as a directory of arrays and a manifest (see ``wakefold.store``)."""
-        arrays = {"order": self.order, "gaps": self.gaps, "ids": self.ids}
-        store.save(directory, arrays, {"linkage": self.linkage}, KIND)
+        store.save(directory, *self.packed(), KIND)
 
     @classmethod
     def load(cls, directory: str | os.PathLike[str]) -> Filtration:
@@ -138,11 +153,7 @@ class Filtration:
         Raises:
             StoreError: missing, damaged, edited, of another kind or version.
         """
-        arrays, meta = store.load(directory, KIND)
-        try:
-            return cls(arrays["order"], arrays["gaps"], arrays["ids"], meta["linkage"])
-        except (KeyError, ValueError, TypeError) as error:
-            raise store.StoreError(f"{directory} is not a sound filtration: {error}") from None
+        return cls.unpacked(*store.load(directory, KIND))
 
     # Classes
 

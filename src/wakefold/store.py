@@ -59,6 +59,7 @@ def save(directory: str | os.PathLike[str], arrays: Mapping[str, np.ndarray], me
             "meta": dict(meta),
             "arrays": entries,
         }
+        manifest["sha256"] = _digest(manifest)
         text = json.dumps(manifest, indent=1, allow_nan=False, sort_keys=True) + "\n"
         _write(parts / MANIFEST, text.encode())
         umask = os.umask(0)
@@ -126,6 +127,12 @@ def _replace(parts: Path, target: Path) -> None:
         shutil.rmtree(aside, ignore_errors=True)
 
 
+def _digest(manifest: Mapping[str, Any]) -> str:
+    """SHA-256 of a manifest without its own digest."""
+    rest = {key: value for key, value in manifest.items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
+
+
 def _sha256(path: Path) -> str:
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
@@ -149,6 +156,8 @@ def _read_manifest(root: Path, kind: str, any_version: bool = False) -> dict[str
         raise StoreError(f"{root} holds a {manifest['kind']!s}, not a {kind}")
     if manifest["format"] != FORMAT and not any_version:
         raise StoreError(f"{root} has store format {manifest['format']!s}; this Wakefold reads format {FORMAT}")
+    if manifest.get("sha256") != _digest(manifest) and not any_version:
+        raise StoreError(f"{path} has been edited (SHA-256 differs)")
     if not isinstance(manifest["meta"], dict) or not isinstance(manifest["arrays"], dict):
         raise StoreError(f"{path} is not a Wakefold manifest")
     return manifest

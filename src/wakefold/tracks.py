@@ -303,8 +303,8 @@ class Tracks:
 
     # On disk and on screen
 
-    def save(self, directory: str | Path) -> None:
-        """Write a directory that `Tracks.load` reads back bit for bit (`wakefold.store`)."""
+    def packed(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Arrays and JSON metadata that `unpacked` takes back."""
         arrays: dict[str, NDArray[Any]] = {name: getattr(self, name) for name in ("points", "times", "offsets", "ids")}
         for kind in ("attributes", "columns"):
             arrays |= {f"{kind}_{k}": values for k, values in enumerate(getattr(self, kind).values())}
@@ -315,16 +315,15 @@ class Tracks:
             "columns": list(self.columns),
             "notes": list(self.notes),
         }
-        store.save(directory, arrays, meta, kind="tracks")
+        return arrays, meta
 
     @classmethod
-    def load(cls, directory: str | Path) -> Tracks:
-        """Tracks written by `save`, memory-mapped.
+    def unpacked(cls, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> Tracks:
+        """Tracks from what `packed` gave.
 
         Raises:
-            StoreError: not a directory of tracks, another version, or files edited, missing or cut short.
+            StoreError: something is missing or unsound.
         """
-        arrays, meta = store.load(directory, kind="tracks")
         try:
             return cls(
                 points=arrays["points"],
@@ -336,8 +335,21 @@ class Tracks:
                 columns={name: arrays[f"columns_{k}"] for k, name in enumerate(meta["columns"])},
                 notes=tuple(meta["notes"]),
             )
-        except (KeyError, TypeError) as error:
-            raise store.StoreError(f"{directory} does not describe tracks: {error}") from None
+        except (KeyError, TypeError, ValueError) as error:
+            raise store.StoreError(f"not sound tracks: {error}") from None
+
+    def save(self, directory: str | Path) -> None:
+        """Write a directory that `Tracks.load` reads back bit for bit (`wakefold.store`)."""
+        store.save(directory, *self.packed(), kind="tracks")
+
+    @classmethod
+    def load(cls, directory: str | Path) -> Tracks:
+        """Tracks written by `save`, memory-mapped.
+
+        Raises:
+            StoreError: not a directory of tracks, another version, or files edited, missing or cut short.
+        """
+        return cls.unpacked(*store.load(directory, kind="tracks"))
 
     def __repr__(self) -> str:
         where = f", {self.projection}" if self.projection else ""

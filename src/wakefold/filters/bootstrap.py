@@ -1,0 +1,116 @@
+"""The papers' baselines: bootstrap particle filters without the hierarchy (Hawasly et al. 2016, Section 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+
+from wakefold.belief import Belief
+from wakefold.evidence import Evidence, Fix, alive_classes, coarse_log_g, in_order
+from wakefold.kernels import particles as kernel
+from wakefold.model import Model
+from wakefold.particles import NOISE, ParticleFilter, elapsed
+
+
+class BL1(ParticleFilter):
+    """Bootstrap filter of which each particle follows a single track.
+
+    Args:
+        coarse: weigh each particle by coarse evidence through its track's class at the level of the evidence
+            ("BL1+coarse", the fair baseline). The published BL1 ignores coarse evidence, and counts what it ignored.
+
+    The other arguments are those of ``ParticleFilter``.
+    """
+
+    def __init__(self, model: Model, particles: int = 100, *, coarse: bool = False, **settings: Any) -> None:
+        super().__init__(model, particles, **settings)
+        self.coarse = coarse
+
+    def step(
+        self,
+        belief: Belief,
+        evidence: Sequence[Evidence] = (),
+        dt: float | None = None,
+        *,
+        time: float | str | datetime | None = None,
+    ) -> Belief:
+        """The belief after ``dt`` seconds (or at ``time``) and the evidence; no evidence is a missing observation.
+
+        Raises:
+            ValueError, TypeError: evidence that does not fit the model, or a time that runs backwards.
+        """
+        return _step(self, belief, evidence, dt, time, self.coarse)
+
+
+class BL2(ParticleFilter):
+    """Bootstrap filter of which all particles follow the averaged field of all tracks; ignores coarse evidence.
+
+    The arguments are those of ``ParticleFilter``.
+    """
+
+    single = False
+
+    def step(
+        self,
+        belief: Belief,
+        evidence: Sequence[Evidence] = (),
+        dt: float | None = None,
+        *,
+        time: float | str | datetime | None = None,
+    ) -> Belief:
+        """See ``BL1.step``."""
+        return _step(self, belief, evidence, dt, time, coarse=False)
+
+
+def _step(
+    f: ParticleFilter,
+    belief: Belief,
+    evidence: Sequence[Evidence],
+    dt: float | None,
+    time: float | str | datetime | None,
+    coarse: bool,
+) -> Belief:
+    tree, total = f.model.filtration, belief.log_evidence
+    items = in_order(evidence, tree)
+    dt, now = elapsed(belief, dt, time)
+    points, classes, logs = f._open(belief)
+    noise, h = f._noise(belief, NOISE, len(points), dt)
+    f._move(points, classes, noise, h)
+    recoveries = ignored = 0
+    for level, item in items:
+        if isinstance(item, Fix):
+            log_g, lost = f._fix_log_g(points, item)
+            prior = logs.copy() if lost else logs
+            gain = kernel.multiply(logs, log_g)
+            if lost or gain == -np.inf:
+                recoveries += 1
+                points, classes = f._recover_fix(belief, item, classes, prior)
+                logs = f._even.copy()
+        elif coarse:
+            above = alive_classes(tree, classes, level)
+            gain = kernel.multiply(
+                logs, coarse_log_g(tree, item, level, above, f.likelihood, f.model.dynamics.diagonal)
+            )
+            if gain == -np.inf:
+                recoveries += 1
+                classes = f._recover_class(belief, item, level)
+                logs = f._even.copy()
+        else:
+            ignored += 1
+            continue
+        total = None if total is None else total + gain
+    return Belief(
+        tree=tree,
+        points=points,
+        classes=classes,
+        log_weights=logs,
+        key=belief.key,
+        step=belief.step + 1,
+        time=now,
+        log_evidence=total,
+        recoveries=belief.recoveries + recoveries,
+        ignored=belief.ignored + ignored,
+    )

@@ -1,0 +1,190 @@
+"""The Multiscale Hierarchy of Particle Filters (Hawasly et al. 2016, Algorithms 1 to 3; docs/algorithm.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import datetime
+from functools import lru_cache
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wakefold.belief import Belief, Stack
+from wakefold.evidence import CoarseClass, Evidence, Fix, coarse_log_g, in_order
+from wakefold.kernels import particles as kernel
+from wakefold.model import Model
+from wakefold.particles import COPIES, NOISE, Floats, Ints, ParticleFilter, elapsed
+
+Rule = Literal["arxiv2016", "gsi2017"]
+
+
+class MHPF(ParticleFilter):
+    """A bank of particle filters, one for each level of the filtration, consistent over the tree.
+
+    Args:
+        rule: what the new class masses multiply after evidence: every set ("arxiv2016") or every set but the observed
+            one ("gsi2017").
+        levels: the levels that keep particle sets: "all", a number of levels picked by ``Filtration.levels``, or
+            heights in metres. Class probabilities are answered at any level all the same, and evidence may come at
+            any level; the sets serve the estimates of a level and of the stack.
+
+    The other arguments are those of ``ParticleFilter``.
+
+    Raises:
+        ValueError: a setting out of range; the message names it.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        particles: int = 100,
+        *,
+        rule: Rule = "arxiv2016",
+        levels: Literal["all"] | int | Sequence[float] | NDArray[np.float64] = 8,
+        **settings: Any,
+    ) -> None:
+        super().__init__(model, particles, **settings)
+        if rule not in ("arxiv2016", "gsi2017"):
+            raise ValueError(f"rule must be 'arxiv2016' or 'gsi2017', got {rule!r}")
+        self.rule: Rule = rule
+        tree = model.filtration
+        inner = np.arange(len(tree.birth)) >= len(tree)
+        if isinstance(levels, str):
+            if levels != "all":
+                raise ValueError(f"levels must be 'all', a number or heights in metres, got {levels!r}")
+            self.levels = np.unique(tree.birth)
+            self._used = inner
+        else:
+            self.levels = np.unique(tree.levels(levels) if isinstance(levels, int) else np.asarray(levels, np.float64))
+            self._used = np.zeros(len(tree.birth), dtype=bool)
+            for level in self.levels:
+                self._used[tree.alive(level)] = True
+            self._used &= inner
+        self._up = lru_cache(maxsize=64)(self._ancestors_in_use)
+
+    def _ancestors_in_use(self, *more: float) -> Ints:
+        """(C,) the nearest ancestor in use of every class, with the levels of a step's evidence in use as well."""
+        tree, used = self.model.filtration, self._used
+        if more:
+            used = used.copy()
+            for level in more:
+                used[tree.alive(level)] = True
+            used[: len(tree)] = False
+        return kernel.nearest_used(tree.parent, used)
+
+    def step(
+        self,
+        belief: Belief,
+        evidence: Sequence[Evidence] = (),
+        dt: float | None = None,
+        *,
+        time: float | str | datetime | None = None,
+    ) -> Belief:
+        """The belief after ``dt`` seconds (or at ``time``) and the evidence; no evidence is a missing observation.
+
+        Raises:
+            ValueError, TypeError: evidence that does not fit the model, or a time that runs backwards.
+        """
+        tree, total = self.model.filtration, belief.log_evidence
+        items = in_order(evidence, tree)
+        dt, now = elapsed(belief, dt, time)
+        up = self._up(*(level for level, item in items if not isinstance(item, Fix)))
+        points, classes, logs = self._open(belief)  # Algorithm 1, lines 12-13 of the step before
+        sets = _Sets(self, classes, up, logs)  # lines 3-6
+        sets.move(belief, points, classes, dt)  # lines 7-9
+        recoveries = 0
+        for level, item in items:  # lines 10-11, Algorithm 3
+            if isinstance(item, Fix):
+                log_g, lost = self._fix_log_g(points, item)
+                prior = logs.copy() if lost else logs
+                gain = kernel.multiply(logs, log_g)
+                if lost or gain == -np.inf:
+                    recoveries += 1
+                    points, classes = self._recover_fix(belief, item, classes, prior)
+                    logs = self._even.copy()
+                    sets = _Sets(self, classes, up, logs, points)
+                else:
+                    sets.spread_fix(logs)
+            else:
+                gain = sets.observe(logs, item, level)
+                if gain == -np.inf:
+                    recoveries += 1
+                    classes = self._recover_class(belief, item, level)
+                    logs = self._even.copy()
+                    sets = _Sets(self, classes, up, logs, points)
+            total = None if total is None else total + gain
+        logs -= kernel.log_sum(logs)
+        return Belief(
+            tree=tree,
+            points=points,
+            classes=classes,
+            log_weights=logs,
+            key=belief.key,
+            step=belief.step + 1,
+            time=now,
+            log_evidence=total,
+            recoveries=belief.recoveries + recoveries,
+            ignored=belief.ignored,
+            stack=sets.stack(),
+        )
+
+
+class _Sets:
+    """The coarse particle sets of one step and the class masses P over the classes that hold particles.
+
+    Weights inside a coarse set only ever change together, so a set needs one log-factor, not one for each copy.
+    """
+
+    def __init__(self, f: MHPF, classes: Ints, up: Ints, logs: Floats, points: Floats | None = None) -> None:
+        """Algorithm 2 upwards from the base set, and a copy of the base particles below each class in use.
+
+        Args:
+            points: (N, d) positions of the copies, when they need not move any more.
+        """
+        self.filter = f
+        self.nodes, self.parent, self.leaf_of, self.start, self.copy_of = kernel.layout(classes, up, len(up))
+        self.base_mass = kernel.node_masses(logs, self.leaf_of, self.parent)
+        self.mass = self.base_mass.copy()
+        self.factors = np.zeros(len(self.nodes))
+        self.copied = logs[self.copy_of]
+        self.copies = np.empty((0, 0)) if points is None else points[self.copy_of]
+
+    def move(self, belief: Belief, points: Floats, classes: Ints, dt: float) -> None:
+        """Move the base particles in place and the copies, each set under the dynamics of its own class."""
+        f, d = self.filter, self.filter.model.dynamics
+        noise, h = f._noise(belief, NOISE, len(points), dt)
+        copy_noise, _ = f._noise(belief, COPIES, len(self.copy_of), dt)
+        self.copies = points[self.copy_of]
+        if not len(noise):
+            return
+        drift, copy_drift = np.empty_like(points), np.empty_like(self.copies)
+        tree = (self.leaf_of, self.nodes, self.parent, self.start, d.lo, d.hi)
+        kernel.nested_drifts(points, classes, *tree, d.field, *d.reach, drift, copy_drift, d.dims)
+        points += h * drift + noise[0]
+        self.copies += h * copy_drift + copy_noise[0]
+        if len(noise) > 1:  # from the second sub-step on every copy is somewhere else
+            f._move(points, classes, noise[1:], h)
+            f._move(self.copies, np.repeat(self.nodes, np.diff(self.start)), copy_noise[1:], h)
+
+    def spread_fix(self, logs: Floats) -> None:
+        """Algorithm 3, lines 16-19, after a fix has weighed the base set."""
+        both = self.filter.rule == "arxiv2016"
+        kernel.spread_fix(logs, self.leaf_of, self.parent, self.start, self.mass, self.factors, both)
+
+    def observe(self, logs: Floats, item: CoarseClass, level: float) -> float:
+        """Algorithm 3, lines 6-19: coarse evidence; the log of the mean likelihood, -inf when every weight is zero."""
+        f, tree = self.filter, self.filter.model.filtration
+        observed = kernel.alive_above(self.nodes, self.parent, self.start, tree.death, level)
+        alive = np.unique(observed[observed >= 0])
+        log_g = np.zeros(len(self.nodes))
+        log_g[alive] = coarse_log_g(tree, item, level, self.nodes[alive], f.likelihood, f.model.dynamics.diagonal)
+        state = (self.base_mass, self.mass, self.factors, observed, log_g, f.rule == "arxiv2016")
+        return kernel.spread_coarse(logs, self.leaf_of, self.parent, self.start, *state)
+
+    def stack(self) -> Stack | None:
+        """The sets as they are after the evidence; None when there are none but the base set."""
+        if not len(self.copies):
+            return None
+        logs = self.copied + np.repeat(self.factors, np.diff(self.start))
+        return Stack(self.nodes, self.start, self.copies, logs)

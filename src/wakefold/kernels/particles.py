@@ -1,0 +1,338 @@
+"""Resampling, motion and weights of particles, and class masses over the part of the tree that holds particles.
+
+Notation as in docs/algorithm.md. N particles, d coordinates, A nodes (the classes in use with a particle below them,
+children before parents: leaves first, then inner classes by rising birth), S copies (particles of coarse sets, grouped
+by node).
+"""
+
+# pyright: reportCallIssue=false
+# (numba gives an intrinsic its typing context: it is called with one argument less than it is defined with)
+
+import math
+
+import numpy as np
+from numba import njit
+
+from wakefold.kernels.neighbours import add_ball, mean_velocity, nearest, nothing, velocity, velocity_at
+
+LOG, GAUSSIAN, STUDENT = 0, 1, 2
+
+
+@njit(cache=True, nogil=True)
+def pick(log_weights, positions, out):
+    """Index of the particle at each of the sorted ``positions`` in [0, 1) of the cumulated weights, into ``out``."""
+    peak = log_weights.max()
+    total = 0.0
+    for i in range(len(log_weights)):
+        total += math.exp(log_weights[i] - peak)
+    i, last = 0, len(log_weights) - 1
+    reached = math.exp(log_weights[0] - peak)
+    for n in range(len(positions)):
+        while reached <= positions[n] * total and i < last:  # i < last: rounding may leave the sum just short
+            i += 1
+            reached += math.exp(log_weights[i] - peak)
+        out[n] = i
+
+
+@njit(cache=True, nogil=True)
+def _same(points, classes, i, j, dims):
+    """Whether particles i and j have one class and one position: resampling leaves runs of such twins."""
+    same = classes[i] == classes[j]
+    for k in range(len(dims)):
+        same &= points[i, k] == points[j, k]
+    return same
+
+
+@njit(cache=True, nogil=True)
+def drifts(points, classes, lo, hi, field, reach2, floor2, out, dims):
+    """Localised velocity at each of the points (n, d) under its own class, into ``out`` (n, d)."""
+    for i in range(len(points)):
+        if i > 0 and _same(points, classes, i, i - 1, dims):
+            for k in range(len(dims)):
+                out[i, k] = out[i - 1, k]
+        else:
+            velocity(points[i], lo[classes[i]], hi[classes[i]], field, reach2, floor2, out[i], dims)
+
+
+@njit(cache=True, nogil=True)
+def nested_drifts(
+    points, classes, leaf_of, nodes, parent, start, lo, hi, field, reach2, floor2, base_out, copy_out, dims
+):
+    """Localised velocity of each base particle under its leaf and under every ancestor in use, by one walk outwards.
+
+    The classes above a leaf are nested intervals of ranks. Going outwards, each one adds two ranges of blocks to the
+    sums of the one inside it, so every neighbour is looked at once and serves all the classes that hold it.
+    ``base_out`` (N, d) is the leaves'; ``copy_out`` (S, d) the ancestors', grouped by node as ``start`` tells.
+    """
+    d = len(dims)
+    cursor = start[:-1].copy()
+    drift = np.empty(d)
+    for i in range(len(points)):
+        node = leaf_of[i]
+        if i > 0 and _same(points, classes, i, i - 1, dims):
+            for k in range(d):
+                base_out[i, k] = base_out[i - 1, k]
+            node = parent[node]
+            while node >= 0:
+                s = cursor[node]
+                cursor[node] += 1
+                for k in range(d):
+                    copy_out[s, k] = copy_out[s - 1, k]
+                node = parent[node]
+            continue
+        q = points[i]
+        sums = nothing(dims)
+        best2, best = np.inf, 0  # nearest point so far; wanted only while the ball is empty
+        first = last = field.leaf_at[lo[nodes[node]]]
+        while node >= 0:
+            outer_first, outer_last = field.leaf_at[lo[nodes[node]]], field.leaf_at[hi[nodes[node]]]
+            sums = add_ball(q, outer_first, first, field, reach2, floor2, sums, dims)
+            sums = add_ball(q, last, outer_last, field, reach2, floor2, sums, dims)
+            if not mean_velocity(sums, drift, dims):
+                best2, best = nearest(q, outer_first, first, field, best2, best, dims)
+                best2, best = nearest(q, last, outer_last, field, best2, best, dims)
+                velocity_at(field, best, drift, dims)
+            first, last = outer_first, outer_last
+            if node == leaf_of[i]:
+                for k in range(d):
+                    base_out[i, k] = drift[k]
+            else:
+                s = cursor[node]
+                cursor[node] += 1
+                for k in range(d):
+                    copy_out[s, k] = drift[k]
+            node = parent[node]
+
+
+@njit(cache=True, nogil=True)
+def layout(classes, up, size):
+    """The classes in use that hold particles, and the copies each of them needs.
+
+    Args:
+        classes: (N,) leaf class of each particle.
+        up: (C,) nearest ancestor in use of each class, -1 above the last.
+        size: C.
+
+    Returns:
+        nodes (A,) class ids in rising order; parent (A,) index into nodes or -1; leaf_of (N,) index into nodes;
+        start (A + 1,) first copy of each node (leaves have none); copy_of (S,) particle of each copy.
+    """
+    count = np.zeros(size, dtype=np.int64)
+    total = 0
+    for i in range(len(classes)):
+        c = classes[i]
+        while c >= 0:
+            count[c] += 1
+            total += count[c] == 1
+            c = up[c]
+    nodes = np.empty(total, dtype=np.int64)
+    a = 0
+    for i in range(len(classes)):  # a negative count marks a class as listed
+        c = classes[i]
+        while c >= 0 and count[c] > 0:
+            nodes[a] = c
+            a += 1
+            count[c] = -count[c]
+            c = up[c]
+    nodes.sort()
+    where = np.empty(size, dtype=np.int64)
+    for a in range(total):
+        where[nodes[a]] = a
+    parent = np.empty(total, dtype=np.int64)
+    start = np.zeros(total + 1, dtype=np.int64)
+    for a in range(total):
+        above = up[nodes[a]]
+        parent[a] = where[above] if above >= 0 else -1
+    leaf_of = np.empty(len(classes), dtype=np.int64)
+    is_leaf = np.zeros(total, dtype=np.bool_)
+    for i in range(len(classes)):
+        leaf_of[i] = where[classes[i]]
+        is_leaf[leaf_of[i]] = True
+    for a in range(total):
+        start[a + 1] = start[a] + (0 if is_leaf[a] else -count[nodes[a]])
+    copy_of = np.empty(start[total], dtype=np.int64)
+    cursor = start[:-1].copy()
+    for i in range(len(classes)):
+        a = parent[leaf_of[i]]
+        while a >= 0:
+            copy_of[cursor[a]] = i
+            cursor[a] += 1
+            a = parent[a]
+    return nodes, parent, leaf_of, start, copy_of
+
+
+@njit(cache=True, nogil=True)
+def log_likelihood(points, fix, family, scale, dof, out):
+    """Log-likelihood of a fix (d,) at each of the points (n, d), into ``out`` (n,); returns the smallest distance.
+
+    ``scale`` is the sd of a Gaussian or Student density, or the diagonal for the papers' -log weight.
+    """
+    n, d = points.shape
+    if family == GAUSSIAN:
+        constant = -d * (0.5 * math.log(2.0 * math.pi) + math.log(scale))
+    else:
+        constant = (
+            math.lgamma(0.5 * (dof + d))
+            - math.lgamma(0.5 * dof)
+            - 0.5 * d * math.log(dof * math.pi)
+            - d * math.log(scale)
+        )
+    closest = np.inf
+    for i in range(n):
+        distance2 = 0.0
+        for k in range(d):
+            gap = (points[i, k] - fix[k]) / scale  # scaled first: no overflow short of 1e154 scales
+            distance2 += gap * gap
+        closest = min(closest, distance2)
+        if family == LOG:
+            out[i] = math.log(-math.log(min(max(math.sqrt(distance2), 1e-4), 1.0)))
+        elif family == GAUSSIAN:
+            out[i] = constant - 0.5 * distance2
+        else:
+            out[i] = constant - 0.5 * (dof + d) * math.log1p(distance2 / dof)
+    return math.sqrt(closest) * scale
+
+
+@njit(cache=True, nogil=True)
+def log_sum(log_weights):
+    """log of the sum of exp(log_weights); -inf when all are -inf."""
+    peak = log_weights.max()
+    if peak == -np.inf:
+        return peak
+    total = 0.0
+    for i in range(len(log_weights)):
+        total += math.exp(log_weights[i] - peak)
+    return peak + math.log(total)
+
+
+@njit(cache=True, nogil=True)
+def multiply(log_weights, log_factors):
+    """Multiply weights by factors and normalise, in place; returns log(sum of products / sum of weights).
+
+    When every product is zero nothing is changed and the result is -inf.
+    """
+    before = log_sum(log_weights)
+    after = log_sum(log_weights + log_factors)
+    if after > -np.inf:
+        for i in range(len(log_weights)):
+            log_weights[i] += log_factors[i] - after
+    return after - before
+
+
+@njit(cache=True, nogil=True)
+def node_masses(log_weights, leaf_of, parent):
+    """Mass of every node: leaves sum the weights of their particles, parents sum their children."""
+    mass = np.zeros(len(parent))
+    for i in range(len(log_weights)):
+        mass[leaf_of[i]] += math.exp(log_weights[i])
+    return _sum_up(mass, parent)
+
+
+@njit(cache=True, nogil=True)
+def _sum_up(mass, parent):
+    for a in range(len(mass)):
+        if parent[a] >= 0:
+            mass[parent[a]] += mass[a]
+    return mass
+
+
+@njit(cache=True, nogil=True)
+def _log_ratio(new, old):
+    """log(new / old) with 0/0 = 0."""
+    return math.log(new / old) if new > 0.0 and old > 0.0 else -np.inf
+
+
+@njit(cache=True, nogil=True)
+def spread_fix(log_weights, leaf_of, parent, start, prior, factors, also_observed):
+    """Rebuild the tree after a fix on the base set and multiply the other sets (docs/algorithm.md, step 4).
+
+    Args:
+        log_weights: (N,) of the base set, already multiplied and normalised; multiplied by r when ``also_observed``.
+        prior: (A,) masses before; becomes the masses after.
+        factors: (A,) log-multiplier of each node's coarse set, changed in place.
+    """
+    new = node_masses(log_weights, leaf_of, parent)
+    for a in range(len(parent)):
+        ratio = _log_ratio(new[a], prior[a])
+        factors[a] = factors[a] + ratio if start[a + 1] > start[a] else ratio  # a leaf has no coarse set: only r
+    if also_observed:
+        for i in range(len(log_weights)):
+            log_weights[i] += factors[leaf_of[i]]
+    for a in range(len(parent)):
+        prior[a] = new[a]
+
+
+@njit(cache=True, nogil=True)
+def spread_coarse(log_weights, leaf_of, parent, start, base_mass, prior, factors, observed, log_g, also_observed):
+    """Coarse evidence on the nodes alive at its level, then the rebuild (docs/algorithm.md, step 4).
+
+    Args:
+        log_weights: (N,) of the base set, changed in place.
+        base_mass: (A,) mass each node's coarse set was copied with.
+        prior: (A,) masses before; becomes the masses after.
+        factors: (A,) log-multiplier of each node's coarse set, changed in place.
+        observed: (A,) for leaves the node of the observed level above (or at) them, -1 for other nodes.
+        log_g: (A,) log-likelihood of the evidence for each observed node.
+
+    Returns:
+        log(sum of products / sum of weights) over the observed sets; -inf (and nothing changed) when all are zero.
+    """
+    total = len(parent)
+    weight = np.zeros(total)  # of the observed sets, before the evidence
+    for i in range(len(log_weights)):
+        leaf = leaf_of[i]
+        if observed[leaf] == leaf:
+            weight[leaf] += math.exp(log_weights[i])
+    is_observed = np.zeros(total, dtype=np.bool_)
+    for a in range(total):
+        if observed[a] >= 0:
+            is_observed[observed[a]] = True
+    before = after = 0.0
+    for a in range(total):
+        if is_observed[a]:
+            if start[a + 1] > start[a]:
+                weight[a] = base_mass[a] * math.exp(factors[a])
+            before += weight[a]
+            weight[a] *= math.exp(log_g[a])
+            after += weight[a]
+    if not after > 0.0:
+        return -np.inf
+    new = np.zeros(total)
+    for a in range(total):
+        o = observed[a]
+        if o >= 0 and prior[o] > 0.0:
+            new[a] = prior[a] * (weight[o] / after / prior[o])
+    _sum_up(new, parent)
+    for a in range(total):
+        ratio = _log_ratio(new[a], prior[a])
+        update = log_g[a] - math.log(after) if is_observed[a] else ratio
+        if is_observed[a] and also_observed:
+            update += ratio
+        prior[a] = new[a]
+        factors[a] = factors[a] + update if start[a + 1] > start[a] else update
+    for i in range(len(log_weights)):
+        log_weights[i] += factors[leaf_of[i]]
+    return math.log(after) - math.log(before)
+
+
+@njit(cache=True, nogil=True)
+def nearest_used(parent, used):
+    """(C,) the nearest ancestor in use of each class, -1 above the last; parents come after their children."""
+    up = np.empty(len(parent), dtype=np.int64)
+    for c in range(len(parent) - 1, -1, -1):
+        above = parent[c]
+        up[c] = above if above < 0 or used[above] else up[above]
+    return up
+
+
+@njit(cache=True, nogil=True)
+def alive_above(nodes, parent, start, death, level):
+    """(A,) for leaves the node alive at the level above (or at) them, -1 for other nodes."""
+    out = np.full(len(nodes), -1)
+    for a in range(len(nodes)):
+        if start[a + 1] == start[a]:
+            o = a
+            while death[nodes[o]] <= level:
+                o = parent[o]
+            out[a] = o
+    return out

@@ -1,0 +1,342 @@
+"""What the particle filters share: prior, resampling, motion, the weight of a fix, recovery and forecast.
+
+Every random number is a function of (the agent's key, step, purpose, index), see ``kernels/random.py``: the base set of
+MHPF and BL1 draw the same numbers, and no agent's numbers depend on another's.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Literal, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wakefold.belief import Belief
+from wakefold.evidence import CoarseClass, Family, Fix, alive_classes, coarse_log_g
+from wakefold.kernels import particles as kernel
+from wakefold.kernels import random
+
+if TYPE_CHECKING:
+    from wakefold.model import Model
+    from wakefold.tracks import Tracks
+
+Resampling = Literal["systematic", "stratified", "multinomial", "residual"]
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+START, OPEN, NOISE, COPIES, RECOVER, FORECAST = range(6)  # purposes of random streams
+FAMILIES: dict[str, int] = {"log": kernel.LOG, "gaussian": kernel.GAUSSIAN, "student": kernel.STUDENT}
+LOST = 6.0  # sd
+
+
+def agent_key(seed: int, agent: str | None) -> NDArray[np.uint64]:
+    """``(2,)`` key of an agent's random stream; the same seed and agent always give the same key."""
+    name = [] if agent is None else [int.from_bytes(hashlib.sha256(agent.encode()).digest()[:8], "little")]
+    return np.random.SeedSequence([seed, *name]).generate_state(2, np.uint64).astype(np.uint64)
+
+
+def as_seconds(time: float | str | datetime) -> float:
+    """Seconds UTC since 1970 from a number, a datetime (naive means UTC) or ISO 8601 text.
+
+    Raises:
+        ValueError: text that is no time, or a number that is not finite.
+    """
+    if isinstance(time, str):
+        time = datetime.fromisoformat(time)
+    if isinstance(time, datetime):
+        time = (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
+    seconds = float(time)
+    if not math.isfinite(seconds):
+        raise ValueError(f"time must be finite, got {seconds}")
+    return seconds
+
+
+def elapsed(belief: Belief, dt: float | None, time: float | str | datetime | None) -> tuple[float, float | None]:
+    """Length of a step (s) and the time at its end, from ``dt`` or the time of the evidence.
+
+    Raises:
+        ValueError: both or neither given, or a time before the belief's.
+    """
+    if (dt is None) == (time is None):
+        raise ValueError("step takes either dt or time")
+    if time is None:
+        assert dt is not None
+        return float(dt), None if belief.time is None else belief.time + float(dt)
+    now = as_seconds(time)
+    if belief.time is None:
+        return 0.0, now
+    if now < belief.time:
+        raise ValueError(f"time runs backwards: evidence of {now:.3f} after the belief of {belief.time:.3f}")
+    return now - belief.time, now
+
+
+def _draw(fill, key: NDArray[np.uint64], step: int, purpose: int, shape: tuple[int, ...]) -> Floats:
+    out = np.empty(shape)
+    fill(key, step, purpose, out.reshape(-1))
+    return out
+
+
+def resample(log_weights: Floats, u: Floats, scheme: Resampling) -> Ints:
+    """Indices ``(N,)`` of the particles that survive, in rising order.
+
+    Args:
+        u: uniforms on [0, 1): one for "systematic", N for the others.
+    """
+    count = len(log_weights)
+    if scheme == "residual":  # the whole parts are kept for certain, the rest is multinomial over the fractions
+        weights = np.exp(log_weights - log_weights.max())
+        weights *= count / weights.sum()
+        sure = np.floor(weights + 1e-9).astype(np.int64)  # a weight of 1/N is worth one particle despite rounding
+        rest = count - int(sure.sum())
+        kept = np.repeat(np.arange(count), sure)[:count]
+        if rest <= 0:
+            return kept
+        with np.errstate(divide="ignore"):
+            extra = _pick(np.log(np.maximum(weights - sure, 0.0)), np.sort(u[:rest]))
+        return np.sort(np.concatenate([kept, extra]))
+    if scheme == "multinomial":
+        positions = np.sort(u)
+    else:  # one uniform for all strata, or one for each
+        positions = (np.arange(count) + u) / count
+    return _pick(log_weights, positions)
+
+
+def _pick(log_weights: Floats, positions: Floats) -> Ints:
+    out = np.empty(len(positions), dtype=np.int64)
+    kernel.pick(log_weights, positions, out)
+    return out
+
+
+class ParticleFilter:
+    """Settings, prior, motion, the weight of a fix, recovery and forecast: all but the step.
+
+    Args:
+        model: what ``wakefold.learn`` made.
+        particles: N.
+        likelihood: "gaussian" or "student" density of a fix, with proper coarse evidence; "log" for the papers' weight.
+        sd: of a fix that does not tell its own, metres; the model's by default.
+        dof: degrees of freedom of "student".
+        depletion: share v of the particles whose class is redrawn whenever the set is resampled.
+        resampling: "systematic", "stratified", "multinomial" or "residual".
+        ess_threshold: resample when the effective sample size falls below this share of N; None: every step.
+        seed: of all agents' random streams.
+
+    Raises:
+        ValueError: a setting out of range; the message names it.
+    """
+
+    single = True  # particles follow single tracks (BL2: the field of all tracks)
+
+    def __init__(
+        self,
+        model: Model,
+        particles: int = 100,
+        *,
+        likelihood: Family = "gaussian",
+        sd: float | None = None,
+        dof: float = 4.0,
+        depletion: float = 0.01,
+        resampling: Resampling = "systematic",
+        ess_threshold: float | None = None,
+        seed: int = 0,
+    ) -> None:
+        sd = model.sd if sd is None else sd
+        if particles < 1:
+            raise ValueError(f"particles must be at least 1, got {particles}")
+        if likelihood not in FAMILIES:
+            raise ValueError(f"likelihood must be one of {', '.join(FAMILIES)}, got {likelihood!r}")
+        if not 0.0 < sd < math.inf:
+            raise ValueError(f"sd must be a positive number of metres, got {sd}")
+        if not 0.0 < dof < math.inf:
+            raise ValueError(f"dof must be a positive number, got {dof}")
+        if not 0.0 <= depletion <= 1.0:
+            raise ValueError(f"depletion must be a share within [0, 1], got {depletion}")
+        if resampling not in ("systematic", "stratified", "multinomial", "residual"):
+            raise ValueError(f"resampling must be systematic, stratified, multinomial or residual, got {resampling!r}")
+        if ess_threshold is not None and not 0.0 < ess_threshold <= 1.0:
+            raise ValueError(f"ess_threshold must be a share of the particles within (0, 1], got {ess_threshold}")
+        self.model = model
+        self.particles = int(particles)
+        self.likelihood: Family = likelihood
+        self.sd = float(sd)
+        self.dof = float(dof)
+        self.depletion = float(depletion)
+        self.resampling: Resampling = resampling
+        self.ess_threshold = ess_threshold
+        self.seed = int(seed)
+        self._even = np.full(self.particles, -math.log(self.particles))  # log-weights of an unweighted set
+
+    # Prior and forecast
+
+    def start(
+        self,
+        *,
+        fix: Fix | None = None,
+        at: Literal["any", "begin"] = "any",
+        time: float | str | datetime | None = None,
+        agent: str | None = None,
+    ) -> Belief:
+        """The prior belief about an agent: class uniform over the tracks, time uniform along the track.
+
+        Args:
+            fix: draw from the points of all tracks instead, in proportion to the likelihood of this fix.
+            at: "any" time along the tracks, or their "begin" (as in the papers).
+            time: of the belief, seconds UTC, a datetime or ISO 8601 text.
+            agent: a name; agents of different names draw different random numbers from the same seed.
+        """
+        if at not in ("any", "begin"):
+            raise ValueError(f"at must be 'any' or 'begin', got {at!r}")
+        tree, tracks = self.model.filtration, self.model.tracks
+        key = agent_key(self.seed, agent)
+        u = _draw(random.uniforms, key, 0, START, (2, self.particles))
+        if fix is not None:
+            points, classes = self._points_near(fix, np.zeros(len(tracks)), u[0])
+        else:
+            classes = (u[0] * len(tracks)).astype(np.int64)
+            share = u[1] if at == "any" else np.zeros(self.particles)
+            points = np.stack([_along(tracks, int(c), x) for c, x in zip(classes, share, strict=True)])
+        if not self.single:
+            classes = np.full(self.particles, tree.root)
+        evidence = None if self.likelihood == "log" else 0.0
+        now = None if time is None else as_seconds(time)
+        return Belief(tree, points, classes, self._even, key, time=now, log_evidence=evidence)
+
+    @overload
+    def forecast(self, belief: Belief, horizon: float) -> Belief: ...
+    @overload
+    def forecast(self, belief: Belief, horizon: Sequence[float]) -> list[Belief]: ...
+    def forecast(self, belief: Belief, horizon: float | Sequence[float]) -> Belief | list[Belief]:
+        """The base particles rolled ahead without evidence: a belief about ``horizon`` seconds from now.
+
+        Several horizons, in rising order, give a list of beliefs along the same sampled paths. The belief it starts
+        from, and its random stream, stay as they are.
+        """
+        one = isinstance(horizon, (int, float))
+        horizons = [float(horizon)] if one else [float(h) for h in horizon]
+        points, done, out = belief.points.copy(), 0.0, []
+        for leg, h in enumerate(horizons):
+            if not h >= done:
+                raise ValueError(f"horizons must be seconds >= 0 in rising order, got {h} after {done}")
+            noise, dt = self._noise(belief, FORECAST + leg, len(points), h - done)
+            self._move(points, belief.classes, noise, dt)
+            done = h
+            time = None if belief.time is None else belief.time + h
+            out.append(replace(belief, points=points.copy(), time=time, stack=None))
+        return out[0] if one else out
+
+    # Step 1: resample and replace
+
+    def _open(self, belief: Belief) -> tuple[Floats, Ints, Floats]:
+        """Resample, then replace a share of the classes, drawn uniformly from the tracks; positions are kept.
+
+        Under ``ess_threshold`` both happen only when the effective sample size falls below that share of N.
+        """
+        count = self.particles
+        if len(belief.points) != count:
+            raise ValueError(f"the belief has {len(belief.points)} particles, the filter {count}")
+        if self.ess_threshold is not None and belief.ess >= self.ess_threshold * count:
+            return belief.points.copy(), belief.classes.copy(), belief.log_weights.copy()
+        first = 1 if self.resampling == "systematic" else count
+        changed = round(self.depletion * count) if self.single else 0
+        u = _draw(random.uniforms, belief.key, belief.step + 1, OPEN, (first + 1 + changed,))
+        kept = resample(belief.log_weights, u[:first], self.resampling)
+        points, classes = belief.points[kept], belief.classes[kept]
+        if changed:
+            where = ((np.arange(changed) + u[first]) * (count / changed)).astype(np.int64)
+            classes[where] = (u[first + 1 :] * len(self.model.tracks)).astype(np.int64)
+        return points, classes, self._even.copy()
+
+    # Step 2: motion
+
+    def _noise(self, belief: Belief, purpose: int, count: int, dt: float) -> tuple[Floats, float]:
+        """Noise of every sub-step ``(sub-steps, count, d)``, metres, and the length of a sub-step, s.
+
+        Gaussian noise has sd scale * sqrt(h) in each sub-step h; the papers' uniform noise comes once, at the end.
+        """
+        dynamics = self.model.dynamics
+        parts = dynamics.substeps(dt)
+        shape = (parts, count, dynamics.dim)
+        h = dt / max(parts, 1)
+        if dynamics.scale == 0.0 or parts == 0:
+            return np.zeros(shape), h
+        if dynamics.noise == "gaussian":
+            noise = _draw(random.normals, belief.key, belief.step + 1, purpose, shape)
+            noise *= dynamics.scale * math.sqrt(h)
+            return noise, h
+        u = _draw(random.uniforms, belief.key, belief.step + 1, purpose, shape[1:])
+        noise = np.zeros(shape)
+        noise[-1] = dynamics.scale * (2.0 * u - 1.0)
+        return noise, h
+
+    def _move(self, points: Floats, classes: Ints, noise: Floats, h: float) -> None:
+        """Move particles under their own classes through the sub-steps of ``noise`` (sub-steps, n, d), in place."""
+        d = self.model.dynamics
+        drift = np.empty_like(points)
+        for part in noise:
+            kernel.drifts(points, classes, d.lo, d.hi, d.field, *d.reach, drift, d.dims)
+            points += h * drift + part
+
+    # Step 4: a fix, and what to do when every weight is zero
+
+    def _fix_log_g(self, points: Floats, fix: Fix) -> tuple[Floats, bool]:
+        """Log-likelihood of a fix at each point, ``(n,)``, and whether all of them are lost (over 6 sd away)."""
+        dynamics = self.model.dynamics
+        at = fix.on_plane(self.model.tracks.projection, dynamics.dim)
+        out = np.empty(len(points))
+        if self.likelihood == "log":
+            closest = kernel.log_likelihood(points, at, kernel.LOG, dynamics.diagonal or 1.0, self.dof, out)
+            return out, fix.sd is not None and closest > LOST * fix.sd
+        scale = self.sd if fix.sd is None else fix.sd
+        closest = kernel.log_likelihood(points, at, FAMILIES[self.likelihood], scale, self.dof, out)
+        return out, closest > LOST * scale
+
+    def _recover_fix(self, belief: Belief, fix: Fix, classes: Ints, log_weights: Floats) -> tuple[Floats, Ints]:
+        """Points of all tracks, drawn in proportion to class mass times the likelihood of the fix; their classes.
+
+        A share v of the mass is spread evenly, as the replacement of classes would, so that a class that has no
+        particle left can be found again.
+        """
+        tracks = self.model.tracks
+        count = len(tracks)
+        weights = np.exp(log_weights - log_weights.max())
+        mass = np.bincount(classes, weights, count) if self.single else np.ones(count)
+        mass = (1.0 - self.depletion) * mass / mass.sum() + self.depletion / count
+        u = _draw(random.uniforms, belief.key, belief.step + 1, RECOVER, (1,))
+        with np.errstate(divide="ignore"):
+            log_mass = np.log(mass) - np.log(tracks.lengths)
+        points, found = self._points_near(fix, log_mass, u)
+        return points, found if self.single else classes
+
+    def _recover_class(self, belief: Belief, item: CoarseClass, level: float) -> Ints:
+        """Classes drawn from the prior in proportion to the likelihood of coarse evidence that no particle met."""
+        tree = self.model.filtration
+        above = alive_classes(tree, np.arange(len(tree)), level)
+        log_g = coarse_log_g(tree, item, level, above, self.likelihood, self.model.dynamics.diagonal)
+        u = _draw(random.uniforms, belief.key, belief.step + 1, RECOVER, (1,))
+        return _pick(log_g, self._strata(u[0]))
+
+    def _points_near(self, fix: Fix, log_mass: Floats, u: Floats) -> tuple[Floats, Ints]:
+        """Training points drawn in proportion to exp(log mass of their track) times the likelihood; their tracks."""
+        tracks = self.model.tracks
+        owner = np.repeat(np.arange(len(tracks)), tracks.lengths)
+        log_g, _ = self._fix_log_g(tracks.points, fix)
+        log_weights = log_g + log_mass[owner]
+        if log_weights.max() == -math.inf:  # too far for the arithmetic: the fix cannot tell the points apart
+            log_weights = log_mass[owner]
+        rows = _pick(log_weights, self._strata(u[0]))
+        return tracks.points[rows], owner[rows]
+
+    def _strata(self, u: float) -> Floats:
+        return (np.arange(self.particles) + u) / self.particles
+
+
+def _along(tracks: Tracks, track: int, share: float) -> Floats:
+    """Position ``(d,)`` at a share of the duration of a track."""
+    times = tracks.times_of(track)
+    at = times[0] + share * (times[-1] - times[0])
+    return np.array([np.interp(at, times, column) for column in tracks[track].T])
