@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Literal
 from wakefold.io.report import Offence, ReadError, Report
 
 if TYPE_CHECKING:
-    from wakefold.io.records import Rows
+    from wakefold.io.records import Rows, Static
     from wakefold.io.report import Tally
     from wakefold.io.source import Progress, Source
     from wakefold.tracks import Tracks
 
-__all__ = ["Offence", "ReadError", "Report", "read_tracks"]
+__all__ = ["Offence", "ReadError", "Report", "read_tracks", "write_tracks"]
 
 Columns = Mapping[str, str | int]
 
@@ -53,6 +53,7 @@ def read_tracks(
         ReadError: a file that is missing, empty, damaged, of no known format, or without one good row.
     """
     from wakefold.io.collect import Collector
+    from wakefold.io.records import Rows
     from wakefold.io.sniff import FORMATS, sniff
     from wakefold.io.source import open_sources
 
@@ -65,19 +66,67 @@ def read_tracks(
             kind = format or sniff(source, columns)
             seen[FORMATS[kind]] = None
             for rows in _rows(kind, source, collector.tally, columns, time_format):
-                collector.add(rows)
+                if isinstance(rows, Rows):
+                    collector.add(rows)
+                else:
+                    collector.describe(rows)
     if not seen:
         raise ReadError("no files to read")
     return collector.finish(", ".join(seen), max_speed)
 
 
-def _rows(kind: str, source: Source, tally: Tally, columns: Columns | None, time_format: str | None) -> Iterator[Rows]:
-    from wakefold.io import ais_csv, traj
+def write_tracks(tracks: Tracks, path: str | PathLike[str], format: str | None = None) -> None:
+    """Write tracks to a file that ``read_tracks`` reads back.
 
+    CSV and Parquet have a row for each point: ``track``, ``time`` (seconds), ``lon`` and ``lat`` (or ``x``, ``y`` and
+    ``z``), the per-point columns and the attributes of the track. GeoJSON has a LineString for each track (a Point
+    for a track of one point) with its times (seconds) and attributes as properties; per-point columns are left out.
+
+    Args:
+        path: where to.
+        format: "csv", "parquet" or "geojson"; by the ending of the name without it.
+
+    Raises:
+        ValueError: no such format; planar tracks as GeoJSON, which knows longitude and latitude only; 1-D tracks.
+    """
+    from wakefold.io.write import write
+
+    write(tracks, Path(path), format)
+
+
+def _rows(
+    kind: str, source: Source, tally: Tally, columns: Columns | None, time_format: str | None
+) -> Iterator[Rows | Static]:
+    """The reader of a format, imported when it is needed."""
     match kind:
         case "marinecadastre" | "dma":
+            from wakefold.io import ais_csv
+
             return ais_csv.read(source, tally, danish=kind == "dma")
         case "traj":
+            from wakefold.io import traj
+
             return traj.read(source, tally)
+        case "geojson" | "mfjson":
+            from wakefold.io import geojson
+
+            return geojson.read(source, tally)
+        case "gpx":
+            from wakefold.io import gpx
+
+            return gpx.read(source, tally)
+        case "edinburgh":
+            from wakefold.io import edinburgh
+
+            return edinburgh.read(source, tally)
+        case "table" | "parquet":
+            from wakefold.io import tables
+
+            read = tables.read_text if kind == "table" else tables.read_parquet
+            return read(source, tally, columns, time_format)
+        case "nmea":
+            from wakefold.io import nmea
+
+            return nmea.read(source, tally, time_format)
         case _:
             raise AssertionError(kind)

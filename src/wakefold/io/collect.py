@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from datetime import UTC, datetime
 from typing import Any, Literal
 
@@ -9,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from wakefold.io.records import Floats, Latest, Rows, as_text
+from wakefold.io.records import Floats, Latest, Rows, Static, as_text
 from wakefold.io.report import ReadError, Report, Tally
 from wakefold.io.rules import Mask, grouping, jumps, project, repeated, sort_times, starts
 from wakefold.tracks import Tracks
@@ -76,6 +77,12 @@ class Collector:
             chunks.append(fields[name] if name in fields else np.full(kept, np.nan, dtype=chunks[0].dtype))
         self._kept += kept
 
+    def describe(self, static: Static) -> None:
+        """Take up attributes that come without positions."""
+        codes = self._encode(static.agent, len(static.agent))
+        for name, values in static.attributes.items():
+            self._attributes.setdefault(name, Latest()).add(codes, values, codes >= 0)
+
     def _same_plane(self, rows: Rows) -> None:
         plane = "longitude and latitude" if rows.geodetic else f"{len(rows.position)} plane coordinates"
         if self._plane not in (None, plane):
@@ -99,7 +106,7 @@ class Collector:
                 name += "+"
             return np.full(n, self._codes.setdefault(name, len(self._codes)), dtype=np.int32)
         encoded = agent.dictionary_encode()
-        names = [as_text(value) for value in encoded.dictionary.to_pylist()]
+        names = [_identity(value) for value in encoded.dictionary.to_pylist()]
         codes = [self._codes.setdefault(name, len(self._codes)) if name else -1 for name in names]
         table = np.array([*codes, -1], dtype=np.int32)
         return table[encoded.indices.fill_null(len(names)).to_numpy(zero_copy_only=False)]
@@ -109,8 +116,8 @@ class Collector:
 
         Args:
             format: name for the report.
-            max_speed: metres (or plane units) per second, see ``rules.jumps``. "auto": 60 for geodetic data, none for
-                planar data, whose unit may not be the metre.
+            max_speed: metres (or plane units) per second, see ``rules.jumps``. "auto": 60 for geodetic data with times,
+                none for planar data, whose unit may not be the metre.
 
         Raises:
             ReadError: not one row was good.
@@ -121,7 +128,7 @@ class Collector:
         order = grouping(codes)
         codes = codes[order]
         time = self._take("time")[order]
-        self._number_untimed(codes, time)
+        untimed = self._number_untimed(codes, time)
         late = sort_times(codes, time, order)
         self.tally.note("{n} rows followed a later one of the same agent and were sorted", late)
         rows = _Sorted(order, codes, time, [self._take(f"position {i}")[order] for i in range(self._dim)])
@@ -131,7 +138,7 @@ class Collector:
         self._reject("same time", elsewhere, rows)
         rows.keep(~(duplicate | elsewhere))
         if max_speed == "auto":
-            max_speed = MAX_GEODETIC_SPEED if self._geodetic else None
+            max_speed = MAX_GEODETIC_SPEED if self._geodetic and not untimed else None
         if max_speed is not None:
             jump = jumps(rows.codes, rows.time, rows.position, self._geodetic, max_speed)
             self._reject("jump", jump, rows)
@@ -155,14 +162,15 @@ class Collector:
         self._chunks[name].clear()
         return whole
 
-    def _number_untimed(self, codes: NDArray[np.int32], time: Floats) -> None:
-        """Rows of files without times are taken one second apart, from 0 for each agent."""
+    def _number_untimed(self, codes: NDArray[np.int32], time: Floats) -> bool:
+        """Take the rows of files without times one second apart, from 0 for each agent; whether there are any."""
         untimed = np.isnan(time)
         if untimed.any():
             begin = np.flatnonzero(starts(codes))
             index = np.arange(len(time)) - np.repeat(begin, np.diff(np.append(begin, len(time))))
             time[untimed] = index[untimed]
             self.tally.note("no times: {n} points taken 1 s apart", int(untimed.sum()))
+        return bool(untimed.any())
 
     def _reject(self, reason: str, bad: Mask, rows: _Sorted) -> None:
         """Count rows rejected after sorting. The first ones of the file are shown by their values."""
@@ -198,6 +206,12 @@ class _Sorted:
         if not mask.all():
             self.order, self.codes, self.time = self.order[mask], self.codes[mask], self.time[mask]
             self.position = [p[mask] for p in self.position]
+
+
+def _identity(value: Any) -> str:
+    """Name of an agent; whole numbers that were made floats on their way (``367000140.0``) without the fraction."""
+    text = as_text(value)
+    return str(int(float(text))) if re.fullmatch(r"\d{1,15}\.\d*(e\+?\d\d?)?", text) and float(text) % 1 == 0 else text
 
 
 def _clock(time: float) -> str:

@@ -5,8 +5,6 @@ records and lines do not agree (blank lines, a stray quote), is cleaned and, if 
 are converted one by one, so that one bad line costs itself only.
 """
 
-# pyright: reportAttributeAccessIssue=false
-# (pyarrow.compute makes its functions when it is imported)
 from __future__ import annotations
 
 import csv
@@ -18,12 +16,11 @@ from typing import Literal
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.csv
 from numpy.typing import NDArray
 
 from wakefold.io import times
-from wakefold.io.records import as_text
+from wakefold.io.records import as_text, to_numbers
 from wakefold.io.report import ReadError
 from wakefold.io.source import Source
 
@@ -32,9 +29,6 @@ DELIMITERS = ",;\t|"
 
 Kind = Literal["integer", "float", "float32", "text", "time"]
 TYPES = {"integer": pa.int64(), "float": pa.float64(), "float32": pa.float32(), "text": pa.binary()}
-
-NUMBER = r"^\s*[+-]?(\d{1,30}\.?\d{0,30}|\.\d{1,30})([eE][+-]?\d{1,2})?\s*$"
-"""What is taken for a number where the parser found something that is none."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +131,8 @@ class _Parser:
         """Take the arrow type of times from the first values."""
         where = [position for position, kind in self.wanted.values() if kind == "time"]
         if self.time_type is None and where:
-            cells = [line.split(self.layout.delimiter.encode()) for line in raw[: 1 << 14].split(b"\n")[:100]]
+            delimiter = None if self.layout.delimiter == " " else self.layout.delimiter.encode()
+            cells = [line.split(delimiter) for line in raw[: 1 << 14].split(b"\n")[:100]]
             values = [as_text(c[where[0]]).strip('"') for c in cells if len(c) > where[0]]
             self.time_type = times.arrow_type(values, self.time_format)
 
@@ -233,7 +228,7 @@ class _Parser:
             elif kind == "time":
                 columns[name] = times.from_arrow(values, self.time_format)
             elif kind in ("float", "float32"):
-                numeric = _numbers(values, TYPES[kind]) if lenient else values
+                numeric = to_numbers(values, TYPES[kind]) if lenient else values
                 columns[name] = numeric.to_numpy(zero_copy_only=False)
             else:
                 columns[name] = values
@@ -243,9 +238,3 @@ class _Parser:
             broken = [*broken, *((int(numbers[i]), as_text(text[numbers[i] - first])) for i in bad)]
             lines = np.delete(numbers, bad)
         return Block(columns, lines, sorted(broken), raw, first)
-
-
-def _numbers(values: pa.Array, to: pa.DataType) -> pa.Array:
-    """Texts that are numbers as such, null for the others."""
-    good = pc.if_else(pc.match_substring_regex(values, NUMBER), values, None)
-    return pc.ascii_trim_whitespace(good.cast(pa.string())).cast(to)

@@ -16,6 +16,10 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 
+NUMBER = r"^\s*[+-]?(\d{1,30}\.?\d{0,30}|\.\d{1,30})([eE][+-]?\d{1,2})?\s*$"
+"""What is taken for a number where the parser found something that is none."""
+
+
 @dataclass
 class Rows:
     """A batch of position records.
@@ -60,6 +64,14 @@ class Rows:
             columns={name: values[mask] for name, values in self.columns.items()},
             attributes={name: values.filter(chosen) for name, values in self.attributes.items()},
         )
+
+
+@dataclass
+class Static:
+    """What is said of agents apart from their positions: names ``(n,)`` and attributes ``(n,)`` as in ``Rows``."""
+
+    agent: pa.Array
+    attributes: Mapping[str, pa.Array]
 
 
 class Latest:
@@ -108,3 +120,9 @@ def as_text(value: Any) -> str:
         except UnicodeDecodeError:
             value = value.decode("latin-1")
     return "" if value is None else str(value).replace("\0", "").strip()
+
+
+def to_numbers(values: pa.Array, to: pa.DataType) -> pa.Array:
+    """Texts that are numbers as such, null for the others."""
+    good = pc.if_else(pc.match_substring_regex(values, NUMBER), values, None)
+    return pc.ascii_trim_whitespace(good.cast(pa.string())).cast(to)

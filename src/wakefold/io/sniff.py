@@ -71,9 +71,9 @@ def sniff(source: Source, columns: Mapping[str, str | int] | None) -> str:
             return "marinecadastre"
         if names >= DMA and "typeofmobile" in names:
             return "dma"
-        from wakefold.io.tables import obvious
+        from wakefold.io.tables import is_table
 
-        if obvious(delimited.layout(head).names) is None:
+        if not is_table(delimited.layout(head).names):
             line = as_text(text.split(b"\n")[0])
             raise ReadError(_unknown(source.name, f"text that begins {line[:80]!r}"))
     return "table"

@@ -70,23 +70,30 @@ def from_text(values: Sequence[Any], time_format: str | None) -> Floats:
         except (pa.ArrowInvalid, pa.ArrowTypeError, UnicodeDecodeError):
             pass
     texts = [as_text(value) for value in values]
-    return np.array([parse(text) if time_format is None else _formatted(text, time_format) for text in texts])
+    return np.array([parse(text) if time_format is None else formatted(text, time_format) for text in texts])
 
 
-def parse(text: str | float | None) -> float:
+def parse(value: Any) -> float:
     """Seconds of an ISO 8601 text or a number; NaN if it is neither."""
-    try:
-        if isinstance(text, (int, float)):
-            return float(text)
-        if _NUMBER.fullmatch(text or ""):
-            return float(text or "")
-        moment = datetime.fromisoformat(text or "")
-        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
-    except (ValueError, OverflowError):
-        return np.nan
+    seconds = number(value)
+    if np.isnan(seconds) and isinstance(value, str):
+        try:
+            moment = datetime.fromisoformat(value)
+            return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+        except (ValueError, OverflowError):
+            pass
+    return seconds
 
 
-def _formatted(text: str, time_format: str) -> float:
+def number(value: Any) -> float:
+    """A number, or a text that is one, as it is; NaN for anything else."""
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return float(value) if abs(value) < 1e300 else np.nan
+    return float(value) if isinstance(value, str) and _NUMBER.fullmatch(value.strip()) else np.nan
+
+
+def formatted(text: str, time_format: str) -> float:
+    """Seconds of a text in a stated format; NaN if it is none."""
     try:
         if time_format in PER_SECOND:
             return float(text) / PER_SECOND[time_format]

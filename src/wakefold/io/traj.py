@@ -77,14 +77,14 @@ def _trajectory(number: int, text: str) -> tuple[Rows | None, bool]:
 
     name = cells[at] if has_id and cells[at] else uuid or f"line {number}"
     columns = {
-        names[i]: np.array([_number(cell) for cell in column(has_id + 1 + dim + i)])
+        names[i]: np.array([times.number(cell) for cell in column(has_id + 1 + dim + i)])
         for i in range(properties)
         if types[i] == REAL
     }
     rows = Rows(
         agent=name,
         time=times.from_text(column(has_id), None),
-        position=[np.array([_number(cell) for cell in column(has_id + 1 + i)]) for i in range(dim)],
+        position=[np.array([times.number(cell) for cell in column(has_id + 1 + i)]) for i in range(dim)],
         geodetic=domain in ("terrestrial", "generic") and dim == 2,
         lines=np.full(count, number),
         text=lambda row: ",".join(cells[at + row * width : at + (row + 1) * width]),
@@ -92,10 +92,3 @@ def _trajectory(number: int, text: str) -> tuple[Rows | None, bool]:
         attributes={key: pa.array([value] * count) for key, value in (("agent", name), ("uuid", uuid))},
     )
     return rows, cut
-
-
-def _number(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return np.nan

@@ -1,0 +1,47 @@
+"""Pedestrians of the Edinburgh Informatics Forum: Matlab text, ``TRACK.R<k>=[[x y t];[x y t];...];`` on a line.
+
+x and y are pixels of an overhead image, 24.7 mm on the floor each; t counts frames, about 9 in a second.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import numpy as np
+
+from wakefold.io.records import Rows, as_text
+from wakefold.io.report import Tally
+from wakefold.io.source import Source
+
+METRES_PER_PIXEL = 0.0247
+FRAMES_PER_SECOND = 9.0
+TRACK = re.compile(r"TRACK\.R(\d+)\s*=\s*\[(.*?)\]?\s*;?", re.DOTALL)
+POINT = re.compile(r"\[\s*(-?\d+(?:\.\d+)?)[\s,]+(-?\d+(?:\.\d+)?)[\s,]+(\d+(?:\.\d+)?)\s*\]")
+
+
+def read(source: Source, tally: Tally) -> Iterator[Rows]:
+    """One batch for each track, named by its number; a row is a point."""
+    for number, line in source.lines():
+        text = as_text(line)
+        match = TRACK.fullmatch(text)
+        if match is None:
+            if not text.startswith(("%", "Properties.")):
+                tally.rows += 1
+                tally.reject("bad line", 1, [(number, text)])
+            continue
+        points = POINT.findall(match[2])
+        damaged = match[2].count("[") - len(points)
+        if damaged > 0:
+            tally.rows += damaged
+            tally.reject("bad line", damaged, [(number, text)])
+        if points:
+            x, y, frame = np.array(points, dtype=np.float64).T
+            yield Rows(
+                agent=match[1],
+                time=frame / FRAMES_PER_SECOND,
+                position=(x * METRES_PER_PIXEL, y * METRES_PER_PIXEL),
+                geodetic=False,
+                lines=np.full(len(points), number),
+                text=lambda row, points=points: " ".join(points[row]),
+            )

@@ -1,0 +1,71 @@
+"""Tracks written for other programs, and for ``read_tracks``: CSV, Parquet, GeoJSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet as pq
+
+from wakefold.tracks import Tracks
+
+FORMATS = {".csv": "csv", ".parquet": "parquet", ".geojson": "geojson", ".json": "geojson"}
+
+
+def write(tracks: Tracks, path: Path, format: str | None) -> None:
+    """See ``wakefold.io.write_tracks``."""
+    format = FORMATS.get(path.suffix.lower()) if format is None else format
+    if format == "csv":
+        pyarrow.csv.write_csv(_table(tracks), path)
+    elif format == "parquet":
+        pq.write_table(_table(tracks), path)
+    elif format == "geojson":
+        _write_geojson(tracks, path)
+    else:
+        raise ValueError(
+            f"tracks are written as {', '.join(sorted(set(FORMATS.values())))}, not {format or path.name!r}"
+        )
+
+
+def _table(tracks: Tracks) -> pa.Table:
+    if tracks.dim == 1:
+        raise ValueError("tracks of one dimension have no place in a table of positions")
+    track = np.repeat(np.arange(len(tracks)), tracks.lengths)
+    columns: dict[str, Any] = {"track": pa.array(tracks.ids.tolist(), pa.string()).take(pa.array(track))}
+    columns["time"] = tracks.times
+    names = ("x", "y", "z")
+    points = tracks.points
+    if tracks.projection is not None:
+        names, points = ("lon", "lat"), tracks.projection.to_geodetic(points)
+    columns |= {name: np.ascontiguousarray(points[:, i]) for i, name in zip(range(tracks.dim), names, strict=False)}
+    columns |= tracks.columns
+    for name, values in tracks.attributes.items():
+        if name not in columns:
+            columns[name] = pa.array(values.tolist(), from_pandas=True).take(pa.array(track))
+    return pa.table(columns)
+
+
+def _write_geojson(tracks: Tracks, path: Path) -> None:
+    if tracks.projection is None:
+        raise ValueError("GeoJSON holds longitude and latitude; write planar tracks as CSV or Parquet")
+    with path.open("w", encoding="utf-8") as file:
+        file.write('{"type": "FeatureCollection", "features": [')
+        for i, points in enumerate(tracks):
+            places = tracks.projection.to_geodetic(points).tolist()
+            moments = tracks.times_of(i).tolist()
+            properties = {name: values[i].item() for name, values in tracks.attributes.items()}
+            properties = {name: value for name, value in properties.items() if value == value}  # JSON has no NaN
+            properties["track"] = str(tracks.ids[i])
+            if len(places) == 1:
+                geometry = {"type": "Point", "coordinates": places[0]}
+                properties["time"] = moments[0]
+            else:
+                geometry = {"type": "LineString", "coordinates": places}
+                properties["times"] = moments
+            feature = {"type": "Feature", "properties": properties, "geometry": geometry}
+            file.write((",\n" if i else "\n") + json.dumps(feature, allow_nan=False, ensure_ascii=False))
+        file.write("\n]}\n")
