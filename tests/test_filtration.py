@@ -1,6 +1,5 @@
 """The filtration: scipy's heights, the definition's classes, intervals, canonical under any order, stored exactly."""
 
-import json
 import re
 
 import naive
@@ -11,6 +10,7 @@ from hypothesis import strategies as st
 from scipy.cluster.hierarchy import cophenet, is_valid_linkage, linkage
 from scipy.spatial.distance import squareform
 
+from wakefold import store
 from wakefold.distance import frechet_matrix
 from wakefold.filtration import Filtration
 from wakefold.store import StoreError
@@ -286,11 +286,14 @@ def test_a_damaged_tree_is_refused(tmp_path):
     with pytest.raises(StoreError, match="has been edited"):
         Filtration.load(tmp_path / "tree")
     path.write_bytes(content)
-    manifest = json.loads((tmp_path / "tree" / "manifest.json").read_text())
-    manifest["meta"] = {"linkage": "ward"}
-    (tmp_path / "tree" / "manifest.json").write_text(json.dumps(manifest))
-    with pytest.raises(StoreError, match="linkage must be"):
-        Filtration.load(tmp_path / "tree")
+    for arrays, meta, message in [
+        ({"order": tree.order, "gaps": tree.gaps, "ids": tree.ids}, {"linkage": "ward"}, "linkage must be"),
+        ({"order": tree.order * 0, "gaps": tree.gaps, "ids": tree.ids}, {"linkage": "single"}, "permutation"),
+        ({"order": tree.order, "ids": tree.ids}, {"linkage": "single"}, "gaps"),
+    ]:
+        store.save(tmp_path / "tree", arrays, meta, "filtration")
+        with pytest.raises(StoreError, match=message):
+            Filtration.load(tmp_path / "tree")
 
 
 def test_what_cannot_be_a_tree_is_refused():

@@ -86,6 +86,7 @@ def test_a_damaged_array_is_refused(stored, damage, message):
 def edit(stored, change):
     manifest = json.loads((stored / store.MANIFEST).read_text())
     change(manifest)
+    manifest["sha256"] = store._digest(manifest)
     (stored / store.MANIFEST).write_text(json.dumps(manifest))
 
 
@@ -103,9 +104,16 @@ def edit(stored, change):
         (lambda m: m["arrays"].update(heights=None), "damaged"),
     ],
 )
-def test_an_edited_manifest_is_refused(stored, change, message):
+def test_an_unsound_manifest_is_refused(stored, change, message):
     edit(stored, change)
     with pytest.raises(StoreError, match=message):
+        store.load(stored, "thing")
+
+
+def test_a_manifest_edited_by_hand_is_refused(stored):
+    path = stored / store.MANIFEST
+    path.write_text(path.read_text().replace("single", "complete"))
+    with pytest.raises(StoreError, match="has been edited"):
         store.load(stored, "thing")
 
 
