@@ -336,7 +336,7 @@ class Tracks:
                 notes=tuple(meta["notes"]),
             )
         except (KeyError, TypeError, ValueError) as error:
-            raise store.StoreError(f"not sound tracks: {error}") from None
+            raise store.StoreError(f"this does not describe tracks: {error}") from None
 
     def save(self, directory: str | Path) -> None:
         """Write a directory that `Tracks.load` reads back bit for bit (`wakefold.store`)."""
