@@ -100,6 +100,7 @@ def test_trees_without_shape_are_drawn():
         tree = Filtration.fit(tracks)
         for figure in (plot.tracks(tracks), plot.filtration(tracks, tree), plot.filtration(tracks, tree, 5.0)):
             figure.draw_without_rendering()
+    assert plot.filtration(same, tree=Filtration.fit(same), level=5.0).axes[0].get_title("left").endswith("level 5")
     with pytest.raises(ValueError, match="two coordinates"):
         plot.tracks(Tracks.from_arrays([[1.0, 2.0]]))
     with pytest.raises(ValueError, match="nothing to draw"):
@@ -190,6 +191,11 @@ def test_the_frame_tells_degrees(lon, lat):
         )
         checked += 1
     assert checked >= 4
+
+
+def test_the_antimeridian_is_drawn_and_named():
+    ax = plot.tracks(bundles(Projection(179.99, -17.0))).axes[0]
+    assert [label.get_text() for label in ax.get_xticklabels()] == ["180.00°", "179.98°W", "179.96°W"]
 
 
 def square(lon, lat, size):

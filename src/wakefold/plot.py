@@ -22,7 +22,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike, NDArray
 
 from wakefold.filtration import Filtration
-from wakefold.plot_map import BACKDROP, INK, PALETTE, STYLE, Box, ground, metres_text
+from wakefold.plot_map import BACKDROP, INK, PALETTE, STYLE, Box, ground, length_text
 from wakefold.plot_tree import dendrogram
 from wakefold.tracks import Tracks
 
@@ -133,9 +133,9 @@ def filtration(
                 [lines[i] for i in tree.members(c)], colors=colours[c], linewidths=0.4 if single else 0.8, alpha=0.75
             )
         )
-    left.set_title(f"{len(tracks):,} tracks in {len(alive):,} classes at level {metres_text(level)}")
+    left.set_title(f"{len(tracks):,} tracks in {len(alive):,} classes at level {length_text(level, tracks.projection)}")
 
-    dendrogram(right, tree, level, colours)
+    dendrogram(right, tree, level, colours, tracks.projection)
     largest = [c for c in alive[np.argsort(-sizes, kind="stable")].tolist() if colours[c] in PALETTE]
     entries = [(colours[c], 2.0, f"class {c}: {tree.hi[c] - tree.lo[c]:,} tracks") for c in largest]
     small, single = (np.array([colours[c] == grey for c in alive.tolist()]) for grey in (SMALL, SINGLE))
@@ -200,7 +200,9 @@ def beliefs(
     colours = _belief_colours(tree, moments, levels)
     for column, level in enumerate(levels):
         classes = tree.alive(level)
-        panels[0, column].set_title(f"level {metres_text(level)}\n{len(classes):,} classes", fontsize=8)
+        panels[0, column].set_title(
+            f"level {length_text(level, tracks.projection)}\n{len(classes):,} classes", fontsize=8
+        )
         for row, moment in enumerate(moments):
             ax = panels[row, column]
             ground(ax, box, tracks.projection, coastline, labels=False)

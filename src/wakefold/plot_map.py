@@ -82,12 +82,19 @@ def ground(
         right, low = x1 - 0.04 * (x1 - x0), y0 + 0.04 * (y1 - y0)
         ax.plot([right - length, right], [low, low], color=INK, linewidth=1.5, solid_capstyle="butt", zorder=6)
         ax.annotate(
-            metres_text(length), (right - length / 2, low), (0, 3), textcoords="offset points", ha="center", size=7
+            length_text(length, projection),
+            (right - length / 2, low),
+            (0, 3),
+            textcoords="offset points",
+            ha="center",
+            size=7,
         )
 
 
-def metres_text(length: float) -> str:
-    """A length for people: "250 m", "12.3 km"."""
+def length_text(length: float, projection: Projection | None) -> str:
+    """A length for people: "250 m", "12.3 km"; a bare number in the plane's own units without a projection."""
+    if projection is None:
+        return f"{length:.3g}"
     return f"{length / 1000:.3g} km" if length >= 1000 else f"{length:.3g} m"
 
 
@@ -102,30 +109,29 @@ def _draw_graticule(ax: Axes, box: Box, projection: Projection, labels: bool) ->
     grid = np.stack(np.meshgrid(np.linspace(x0, x1, 25), np.linspace(y0, y1, 25)), axis=-1).reshape(-1, 2)
     lon, lat = projection.to_geodetic(grid).T
     # Longitudes relative to the centre, so that the antimeridian is no seam.
-    east = (lon - projection.lon + 180) % 360 - 180
-    west, east, south, north = east.min(), east.max(), lat.min(), lat.max()
+    relative = (lon - projection.lon + 180) % 360 - 180
+    west, east, south, north = relative.min(), relative.max(), lat.min(), lat.max()
     for pole in (-90.0, 90.0):
         x, y = projection.to_plane(projection.lon, pole)[0]
         if x0 <= x <= x1 and y0 <= y <= y1:
-            west, east, south, north = -180.0, 180.0, min(south, pole), max(north, pole)
-    step = min(_round_number((north - south) / 2.5), 30.0)
-    lines, ticks = (
-        [],
-        ([], []),
-    )
-    meridian_step = 30.0 if east - west > 180 else min(_round_number((east - west) / 2.5), 30.0)
-    along = np.linspace(south, north, 101)
-    for value in _multiples(west + projection.lon, east + projection.lon, meridian_step):
-        line = projection.to_plane(np.full(101, value), along)
-        lines.append(line)
-        ticks[0].extend((at, _degrees(value, meridian_step, "EW")) for at in _crossings(line[:, ::-1], y0, x0, x1))
-    along = np.linspace(west, east, 201) + projection.lon
-    for value in _multiples(south, north, step):
-        line = projection.to_plane(along, np.full(201, value))
-        lines.append(line)
-        ticks[1].extend((at, _degrees(value, step, "NS")) for at in _crossings(line, x0, y0, y1))
+            west, east, south, north = -180.0, 179.999, min(south, pole), max(north, pole)
+    west, east = west + projection.lon, east + projection.lon
+    meridian_step = min(_round_number((east - west) / 2.5), 30.0)
+    parallel_step = min(_round_number((north - south) / 2.5), 30.0)
+    # Lines reach a little beyond the frame, as its extreme latitude may lie between two points of the grid.
+    up = np.linspace(max(south - 0.05 * (north - south), -90), min(north + 0.05 * (north - south), 90), 201)
+    along = np.linspace(west - 0.05 * (east - west), east + 0.05 * (east - west), 401)
+    lines, bottom, left = [], [], []
+    for value in _multiples(west, east, meridian_step):
+        lines.append(projection.to_plane(np.full(len(up), value), up))
+        name = _degrees(value, meridian_step, "EW")
+        bottom += [(at, name) for at in _crossings(lines[-1][:, ::-1], y0, x0, x1)]
+    for value in _multiples(south, north, parallel_step):
+        lines.append(projection.to_plane(along, np.full(len(along), value)))
+        name = _degrees(value, parallel_step, "NS")
+        left += [(at, name) for at in _crossings(lines[-1], x0, y0, y1)]
     ax.add_collection(LineCollection(lines, colors=PALE, linewidths=0.3, alpha=0.5, zorder=0.5), autolim=False)
-    for axis, marks in zip((ax.xaxis, ax.yaxis), ticks, strict=True):
+    for axis, marks in ((ax.xaxis, bottom), (ax.yaxis, left)):
         axis.set_ticks([at for at, _ in marks] if labels else [], labels=[name for _, name in marks] if labels else [])
 
 

@@ -9,12 +9,15 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from wakefold.filtration import Filtration
-from wakefold.plot_map import INK, PALE, metres_text
+from wakefold.plot_map import INK, PALE, length_text
+from wakefold.projection import Projection
 
 Floats = NDArray[np.float64]
 
 
-def dendrogram(ax: Axes, tree: Filtration, level: float, colours: dict[int, str]) -> None:
+def dendrogram(
+    ax: Axes, tree: Filtration, level: float, colours: dict[int, str], projection: Projection | None
+) -> None:
     """Every class as an upright from its birth to its death over the middle of its ranks, siblings joined by a bar.
 
     Single tracks hang just below the class they join, not from zero: with hundreds of them the tree would be a wall.
@@ -60,7 +63,7 @@ def dendrogram(ax: Axes, tree: Filtration, level: float, colours: dict[int, str]
     if logarithmic:
         ax.set_yscale("log")
     ax.set_ylim(floor, ceiling)
-    ax.yaxis.set_major_formatter(lambda height, _: metres_text(height))
+    ax.yaxis.set_major_formatter(lambda height, _: length_text(height, projection))
     ax.tick_params(axis="x", pad=10, length=0)
     ax.set_xlabel("tracks in the order of the tree")
     ax.set_ylabel("discrete Fréchet distance at which classes join")
