@@ -98,7 +98,7 @@ def test_one_damaged_feature(tmp_path):
     tracks, report = read(tmp_path, '{"type": "FeatureCollection", "features": [\n' + ",\n".join(features) + "\n]}")
     assert list(tracks.ids) == ["a", "c"]
     assert report.rejected == {"bad line": 1}
-    assert report.offences["bad line"][0].line == 2
+    assert report.offences["bad line"][0].line == 3
 
 
 def test_other_reference_systems_are_refused(tmp_path):
