@@ -20,7 +20,7 @@ import pyarrow.csv
 from numpy.typing import NDArray
 
 from wakefold.io import times
-from wakefold.io.records import as_text, to_numbers
+from wakefold.io.records import as_text, decoded, to_numbers
 from wakefold.io.report import ReadError
 from wakefold.io.source import Source
 
@@ -138,7 +138,7 @@ class _Parser:
 
     def __call__(self, first: int, raw: bytes) -> Block:
         count = raw.count(b"\n") + (not raw.endswith(b"\n"))
-        if self.layout.delimiter != " ":
+        if self.layout.delimiter != " " and _is_utf8(raw):
             try:
                 table, bad = self._typed(raw)
                 if len(table) + len(bad) == count:
@@ -196,6 +196,8 @@ class _Parser:
             line = line.rstrip(b"\r").replace(b"\r", b" ")
             if not line.strip():
                 continue
+            if not line.isascii():
+                line = decoded(line).encode()
             if delimiter == b" ":
                 line = b",".join(line.replace(b",", b" ").split())
             if line.count(b'"') % 2 and (line.startswith(b'"') or delimiter + b'"' in line):
@@ -238,3 +240,12 @@ class _Parser:
             broken = [*broken, *((int(numbers[i]), as_text(text[numbers[i] - first])) for i in bad)]
             lines = np.delete(numbers, bad)
         return Block(columns, lines, sorted(broken), raw, first)
+
+
+def _is_utf8(raw: bytes) -> bool:
+    if not raw.isascii():
+        try:
+            raw.decode()
+        except UnicodeDecodeError:
+            return False
+    return True

@@ -17,7 +17,8 @@ from wakefold.io.source import Source
 METRES_PER_PIXEL = 0.0247
 FRAMES_PER_SECOND = 9.0
 TRACK = re.compile(r"TRACK\.R(\d+)\s*=\s*\[(.*?)\]?\s*;?", re.DOTALL)
-POINT = re.compile(r"\[\s*(-?\d+(?:\.\d+)?)[\s,]+(-?\d+(?:\.\d+)?)[\s,]+(\d+(?:\.\d+)?)\s*\]")
+NUMBER = r"(-?\d{1,9}(?:\.\d{0,9})?)"
+POINT = re.compile(rf"\[\s*{NUMBER}[\s,]+{NUMBER}[\s,]+{NUMBER}\s*\]")
 
 
 def read(source: Source, tally: Tally) -> Iterator[Rows]:
@@ -30,11 +31,13 @@ def read(source: Source, tally: Tally) -> Iterator[Rows]:
                 tally.rows += 1
                 tally.reject("bad line", 1, [(number, text)])
             continue
-        points = POINT.findall(match[2])
-        damaged = match[2].count("[") - len(points)
-        if damaged > 0:
-            tally.rows += damaged
-            tally.reject("bad line", damaged, [(number, text)])
+        points = []
+        for piece in filter(None, match[2].split(";")):
+            if found := POINT.fullmatch(piece.strip()):
+                points.append(found.groups())
+            else:
+                tally.rows += 1
+                tally.reject("bad line", 1, [(number, piece)])
         if points:
             x, y, frame = np.array(points, dtype=np.float64).T
             yield Rows(

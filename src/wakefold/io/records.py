@@ -113,13 +113,18 @@ def is_text(values: pa.Array) -> bool:
 
 
 def as_text(value: Any) -> str:
-    """Text of a value from a file. Bytes are UTF-8 or else Latin-1: old AIS logs hold names in either."""
+    """Text of a value from a file, trimmed. Bytes are UTF-8 or else Latin-1: AIS files hold names in either."""
     if isinstance(value, bytes):
-        try:
-            value = value.decode()
-        except UnicodeDecodeError:
-            value = value.decode("latin-1")
+        value = decoded(value)
     return "" if value is None else str(value).replace("\0", "").strip()
+
+
+def decoded(raw: bytes) -> str:
+    """Text of bytes that are UTF-8 or else Latin-1."""
+    try:
+        return raw.decode()
+    except UnicodeDecodeError:
+        return raw.decode("latin-1")
 
 
 def to_numbers(values: pa.Array, to: pa.DataType) -> pa.Array:

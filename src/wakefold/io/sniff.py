@@ -63,7 +63,7 @@ def sniff(source: Source, columns: Mapping[str, str | int] | None) -> str:
         return "edinburgh"
     if NMEA.search(head):
         return "nmea"
-    if b"\0" in head:
+    if b"\0" in text.split(b"\n")[0]:
         raise ReadError(_unknown(source.name, "binary data"))
     names = {plain(name) for name in delimited.layout(head).names}
     if columns is None:
