@@ -93,3 +93,147 @@ def single_linkage(distances):
             if death == math.inf and part not in parts:
                 out[part] = (birth, height)
     return out
+
+
+# Dynamics
+
+
+def forward_difference(points, times):
+    """(n, d) velocities: forward difference over time, the last repeats the one before, one point stands still."""
+    out = np.zeros_like(points)
+    for i in range(len(points) - 1):
+        out[i] = (points[i + 1] - points[i]) / (times[i + 1] - times[i])
+    if len(points) > 1:
+        out[-1] = out[-2]
+    return out
+
+
+def local_velocity(z, members, epsilon, floor):
+    """Velocity at z of a class, given its tracks as (points, velocities): Section 3.1 of the 2016 paper."""
+    weight, total = 0.0, np.zeros(len(z))
+    nearest, nearest_velocity = math.inf, None
+    for points, velocities in members:
+        for p, v in zip(points, velocities, strict=True):
+            delta = distance(z, p)
+            if delta < epsilon:
+                weight += 1.0 / max(delta, floor)
+                total += v / max(delta, floor)
+            if delta < nearest:
+                nearest, nearest_velocity = delta, v
+    return total / weight if weight > 0 else nearest_velocity
+
+
+# The multiscale hierarchy of particle filters: Algorithms 1 to 3 as docs/algorithm.md settles them
+
+
+def resample(weights, positions):
+    """Index of the particle at each position in [0, 1) of the cumulated weights."""
+    edges = np.cumsum(weights) / np.sum(weights)
+    return [min(int(np.sum(edges <= u)), len(weights) - 1) for u in positions]
+
+
+def alive(tree, level):
+    return [c for c in range(len(tree.birth)) if tree.birth[c] <= level < tree.death[c]]
+
+
+def holds(tree, outer, inner):
+    return set(tree.members(inner).tolist()) <= set(tree.members(outer).tolist())
+
+
+def fix_weight(z, fix, family, sd, dof, diagonal):
+    delta, d = distance(z, fix), len(z)
+    if family == "log":
+        return -math.log(min(max(delta / diagonal, 1e-4), 1.0))
+    if family == "gaussian":
+        return math.exp(-0.5 * (delta / sd) ** 2) / (math.sqrt(2 * math.pi) * sd) ** d
+    scale = math.gamma((dof + d) / 2) / (math.gamma(dof / 2) * (dof * math.pi) ** (d / 2) * sd**d)
+    return scale * (1 + (delta / sd) ** 2 / dof) ** (-(dof + d) / 2)
+
+
+def coarse_weight(tree, c, named, level, family, confidence, diagonal):
+    if family == "log":
+        return -math.log(min(max(tree.tree_distance(c, named) / diagonal, 1e-4), 1.0))
+    others = len(alive(tree, level)) - 1
+    if others == 0:
+        return 1.0
+    return confidence if c == named else (1 - confidence) / others
+
+
+def mhpf_step(tree, field, belief, evidence, used, rule, family, draws, h, dof, diagonal):
+    """One step of MHPF; returns the base set, the coarse sets, the class masses and the log evidence.
+
+    Args:
+        field: function (position, class) -> velocity.
+        belief: (points, classes, weights) of the base set.
+        evidence: list of ("fix", position, sd) and ("coarse", class, level, confidence), in the order of use.
+        used: inner classes that keep a set.
+        draws: dict of positions (resampling), replace (list of (particle, class)), noise (N, d), and copy_noise, a
+            function (class, particle) -> (d,).
+        h: length of the step; one sub-step.
+    """
+    points, classes, weights = belief
+    # Algorithm 1, lines 12-13: resample, replace classes
+    kept = resample(weights, draws["positions"])
+    points, classes = [points[i] for i in kept], [int(classes[i]) for i in kept]
+    for particle, c in draws["replace"]:
+        classes[particle] = c
+    count = len(points)
+    sets = {"base": [[z, c, 1.0 / count] for z, c in zip(points, classes, strict=True)]}
+    # line 3 and Algorithm 2: the masses, up from the leaves
+    mass = masses(tree, sets["base"])
+    # lines 4-6: copies of the particles below each class, before propagation
+    for c in used:
+        sets[c] = [[z, c, w, i] for i, (z, leaf, w) in enumerate(sets["base"]) if holds(tree, c, leaf)]
+    # lines 7-9: every particle moves under the dynamics of its class
+    for i, x in enumerate(sets["base"]):
+        x[0] = x[0] + h * field(x[0], x[1]) + draws["noise"][i]
+    for c in used:
+        for x in sets[c]:
+            x[0] = x[0] + h * field(x[0], c) + draws["copy_noise"](c, x[3])
+    # lines 10-11, Algorithm 3
+    log_evidence = 0.0
+    for item in evidence:
+        if item[0] == "fix":
+            observed = list(sets["base"])
+            g = [fix_weight(x[0], item[1], family, item[2], dof, diagonal) for x in observed]
+            observed_classes = list(range(len(tree)))
+        else:
+            _, named, level, confidence = item
+            observed_classes = alive(tree, level)
+            observed, g = [], []
+            for c in observed_classes:
+                members = sets[c] if c in sets else [x for x in sets["base"] if x[1] == c]
+                observed += members
+                g += [coarse_weight(tree, c, named, level, family, confidence, diagonal)] * len(members)
+        before = sum(x[2] for x in observed)
+        for x, factor in zip(observed, g, strict=True):
+            x[2] *= factor
+        after = sum(x[2] for x in observed)
+        for x in observed:
+            x[2] /= after
+        log_evidence += math.log(after / before)
+        # Algorithm 2: the observed classes from their weights, down by proportion, up by sums
+        new = {}
+        for c in observed_classes:
+            new[c] = sum(x[2] for x in observed if x[1] == c)
+        leaves = {}
+        for leaf in range(len(tree)):
+            above = next(c for c in observed_classes if holds(tree, c, leaf))
+            leaves[leaf] = mass[leaf] * new[above] / mass[above] if mass[above] > 0 else 0.0
+        after_mass = {c: sum(leaves[t] for t in tree.members(c).tolist()) for c in range(len(tree.birth))}
+        ratio = {c: after_mass[c] / mass[c] if mass[c] > 0 else 0.0 for c in after_mass}
+        seen = {id(x) for x in observed}
+        for members in sets.values():
+            for x in members:
+                if rule == "arxiv2016" or id(x) not in seen:
+                    x[2] *= ratio[x[1]]
+        mass = after_mass
+    total = sum(x[2] for x in sets["base"])
+    for x in sets["base"]:
+        x[2] /= total
+    return sets, mass, log_evidence
+
+
+def masses(tree, base):
+    leaves = {t: sum(x[2] for x in base if x[1] == t) for t in range(len(tree))}
+    return {c: sum(leaves[t] for t in tree.members(c).tolist()) for c in range(len(tree.birth))}

@@ -199,7 +199,7 @@ class ParticleFilter:
         else:
             classes = (u[0] * len(tracks)).astype(np.int64)
             share = u[1] if at == "any" else np.zeros(self.particles)
-            points = np.stack([_along(tracks, int(c), x) for c, x in zip(classes, share, strict=True)])
+            points = _along(tracks, classes, share)
         if not self.single:
             classes = np.full(self.particles, tree.root)
         evidence = None if self.likelihood == "log" else 0.0
@@ -335,8 +335,12 @@ class ParticleFilter:
         return (np.arange(self.particles) + u) / self.particles
 
 
-def _along(tracks: Tracks, track: int, share: float) -> Floats:
-    """Position ``(d,)`` at a share of the duration of a track."""
-    times = tracks.times_of(track)
-    at = times[0] + share * (times[-1] - times[0])
-    return np.array([np.interp(at, times, column) for column in tracks[track].T])
+def _along(tracks: Tracks, chosen: Ints, share: Floats) -> Floats:
+    """Positions ``(N, d)`` at a share of the duration of each of the chosen tracks (N,)."""
+    out = np.empty((len(chosen), tracks.dim))
+    for track in np.unique(chosen):
+        rows, times = np.flatnonzero(chosen == track), tracks.times_of(int(track))
+        at = times[0] + share[rows] * (times[-1] - times[0])
+        for k, column in enumerate(tracks[int(track)].T):
+            out[rows, k] = np.interp(at, times, column)
+    return out
