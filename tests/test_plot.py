@@ -8,7 +8,7 @@ import pytest
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import to_hex
 
-from wakefold import plot
+from wakefold import plot, plot_belief
 from wakefold.filtration import Filtration
 from wakefold.plot_map import PALETTE
 from wakefold.projection import Projection
@@ -132,7 +132,7 @@ def test_opacity_is_probability(tracks, tree):
 def test_no_two_classes_of_a_panel_share_a_colour(tracks, tree):
     share = np.random.default_rng(0).dirichlet(np.ones(13), size=4)
     levels = [0.0, float(np.median(tree.gaps)), 500.0, 1e9]
-    colours = plot._belief_colours(tree, moments(tracks, tree, levels, share), levels)
+    colours = plot_belief._belief_colours(tree, moments(tracks, tree, levels, share), levels)
     for level in levels:
         used = [colour for colour in colours[level].values() if colour in PALETTE]
         assert len(set(used)) == len(used) == min(len(PALETTE), len(tree.alive(level)))

@@ -1,25 +1,31 @@
-"""What lies under a picture of tracks: the shared style, a graticule or plain axes, a scale bar, a coastline."""
+"""What the pictures share: style, size, tracks as lines, and the ground: graticule or plain axes, scale, coastline."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, cast
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from wakefold.projection import Projection
+from wakefold.tracks import Tracks
 
+P = ParamSpec("P")
 Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]  # x0, y0, x1, y1, metres
 
 INK, PALE, BACKDROP = "#22303c", "#9aa5ad", "#e3e7ea"
 SEA, LAND, SHORE = "#ffffff", "#f1eee6", "#b9b09c"
+SMALL, SINGLE = "#6b7780", "#c4cbd0"  # classes without a colour of their own, and single tracks
 # Paul Tol's "muted" scheme: nine colours that stay apart in the common forms of colour blindness.
 PALETTE = ("#332288", "#cc6677", "#117733", "#ddcc77", "#88ccee", "#882255", "#44aa99", "#999933", "#aa4499")
 STYLE: dict[str, Any] = {
@@ -49,6 +55,15 @@ STYLE: dict[str, Any] = {
 
 _LARGEST_COASTLINE = 256 << 20  # bytes; a file is read whole
 _FAR = 10_000_000.0  # m; polygons reaching farther from the centre may enclose its antipode and are not filled
+
+
+def styled(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    @wraps(draw)
+    def styled(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with rc_context(cast(Any, STYLE)):
+            return draw(*args, **kwargs)
+
+    return styled
 
 
 def ground(
@@ -96,6 +111,42 @@ def length_text(length: float, projection: Projection | None) -> str:
     if projection is None:
         return f"{length:.3g}"
     return f"{length / 1000:.3g} km" if length >= 1000 else f"{length:.3g} m"
+
+
+def duration_text(seconds: float) -> str:
+    if seconds < 60:
+        return f"{seconds:.3g} s"
+    return f"{seconds / 60:.2g} min" if seconds < 600 else f"{seconds / 60:.0f} min"
+
+
+def lines_of(tracks: Tracks, box: Box, pixels: int = 3000) -> list[Floats]:
+    """Every track as a line ``(n, 2)`` for a picture of ``box``, without the points that no one could see."""
+    x0, y0, x1, y1 = box
+    return [p[:, :2] for p in tracks.simplify(max(x1 - x0, y1 - y0) / pixels)]
+
+
+def draw_lines(ax: Axes, lines: Sequence[Floats], **look: Any) -> None:
+    ax.add_collection(LineCollection(list(lines), **look), autolim=False)
+
+
+def box_around(points: ArrayLike, margin: float = 0.03, slimmest: float = 0.3) -> Box:
+    """What shows all points, with a margin, widened until the shorter side is at least ``slimmest`` of the longer."""
+    places = np.asarray(points, dtype=np.float64)
+    if not len(places):
+        raise ValueError("there is nothing to draw")
+    if places.shape[1] < 2:
+        raise ValueError("a picture needs two coordinates, these tracks have one")
+    low, high = places[:, :2].min(axis=0), places[:, :2].max(axis=0)
+    longest = float((high - low).max()) or 1.0
+    half = np.maximum((high - low) / 2, longest * slimmest / 2) + longest * margin
+    middle = (low + high) / 2
+    return (*(middle - half).tolist(), *(middle + half).tolist())
+
+
+def size_of(box: Box, longest: float, room: tuple[float, float] = (0.0, 0.0)) -> tuple[float, float]:
+    """Width and height in inches: the longer side of ``box`` takes ``longest``, the labels around it ``room``."""
+    scale = longest / max(box[2] - box[0], box[3] - box[1])
+    return (box[2] - box[0]) * scale + room[0], (box[3] - box[1]) * scale + room[1]
 
 
 def _round_number(most: float) -> float:
