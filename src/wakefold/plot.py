@@ -188,17 +188,8 @@ def forecast(
         weights = np.full(len(cloud), 1 / len(cloud)) if item.weights is None else np.asarray(item.weights)
         sizes = np.clip(10 * len(cloud) * weights, 1.0, 40.0)
         ax.scatter(*cloud.T, s=sizes, color=colour, alpha=0.45, linewidths=0, zorder=2)
-        handles.append(
-            Line2D(
-                [],
-                [],
-                color=colour,
-                marker="o",
-                markersize=4,
-                linestyle="none",
-                label=f"in {duration_text(item.seconds)}",
-            )
-        )
+        dot: dict[str, Any] = {"marker": "o", "markersize": 4, "linestyle": "none"}
+        handles.append(Line2D([], [], color=colour, label=f"in {duration_text(item.seconds)}", **dot))
         if item.truth is not None:
             ax.scatter(*np.asarray(item.truth), s=60, facecolors="none", edgecolors=colour, linewidths=1.4, zorder=5)
         if item.constant_velocity is not None:

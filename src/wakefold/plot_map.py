@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from functools import wraps
+from functools import lru_cache, wraps
 from pathlib import Path
 from typing import Any, ParamSpec, cast
 
@@ -76,7 +76,8 @@ def ground(
         box: what must be seen.
         projection: draws meridians and parallels, labelled where they meet the frame, and a scale bar; without it
             plain axes in plane units.
-        coastline: a GeoJSON file (RFC 7946) of lines or polygons, degrees.
+        coastline: a GeoJSON file (RFC 7946) of lines or polygons, degrees. Polygons are filled as land, their holes
+            (lakes) outlined.
         labels: whether to label the frame and draw the scale bar.
     """
     x0, y0, x1, y1 = box
@@ -207,6 +208,14 @@ def _degrees(value: float, step: float, sides: str) -> str:
 
 
 def _draw_coastline(ax: Axes, projection: Projection, path: Path) -> None:
+    lines, areas = _read_coastline(path, path.stat().st_mtime_ns, projection)
+    ax.add_collection(PolyCollection(areas, facecolors=LAND, edgecolors="none", zorder=0.2), autolim=False)
+    ax.add_collection(LineCollection(lines, colors=SHORE, linewidths=0.5, zorder=0.3), autolim=False)
+
+
+@lru_cache(maxsize=1)  # a figure of many panels reads its file once, an edited file is read again
+def _read_coastline(path: Path, modified: int, projection: Projection) -> tuple[list[Floats], list[Floats]]:
+    """All lines, and those that bound land, metres."""
     if path.stat().st_size > _LARGEST_COASTLINE:
         raise ValueError(f"{path} is larger than {_LARGEST_COASTLINE >> 20} MiB: cut it to the region first")
     lines, areas = [], []
@@ -220,8 +229,7 @@ def _draw_coastline(ax: Axes, projection: Projection, path: Path) -> None:
                     areas.append(line)
     except (ValueError, TypeError, IndexError, KeyError, AttributeError, RecursionError) as error:
         raise ValueError(f"{path} is not a GeoJSON file of lines or polygons: {error}") from None
-    ax.add_collection(PolyCollection(areas, facecolors=LAND, edgecolors="none", zorder=0.2), autolim=False)
-    ax.add_collection(LineCollection(lines, colors=SHORE, linewidths=0.5, zorder=0.3), autolim=False)
+    return lines, areas
 
 
 def _geojson_lines(item: dict[str, Any]) -> Iterator[tuple[bool, list]]:
