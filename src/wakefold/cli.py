@@ -1,0 +1,378 @@
+"""The command line: parse, call, print. Heavy imports happen inside the commands, so that --help is quick."""
+
+from __future__ import annotations
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from wakefold import __version__, cli_support
+from wakefold.cli_support import fail, guarded, level_table, model_facts, progress, say
+
+if TYPE_CHECKING:
+    from wakefold.tracks import Tracks
+
+app = typer.Typer(
+    name="wakefold",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
+
+
+class LinkageName(StrEnum):
+    single = "single"
+    complete = "complete"
+
+
+class FilterName(StrEnum):
+    mhpf = "mhpf"
+    bl1 = "bl1"
+    bl1_coarse = "bl1+coarse"
+    bl2 = "bl2"
+
+
+class RuleName(StrEnum):
+    arxiv2016 = "arxiv2016"
+    gsi2017 = "gsi2017"
+
+
+class LikelihoodName(StrEnum):
+    gaussian = "gaussian"
+    student = "student"
+    log = "log"
+
+
+class FormName(StrEnum):
+    csv = "csv"
+    jsonl = "jsonl"
+
+
+def _opt(help: str, *names: str) -> Any:
+    """An option whose default is said in its help, or needs no saying."""
+    return typer.Option(*names, help=help, show_default=False)
+
+
+def _arg(help: str) -> Any:
+    return typer.Argument(help=help, show_default=False)
+
+
+Columns = Annotated[
+    str,
+    _opt("Columns of a table: agent=...,time=...,lon=...,lat=... or x=...,y=..."),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, for a program to read.")]
+
+
+@app.callback(invoke_without_command=True)
+def _options(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+) -> None:
+    """Tells, at every scale at once, what a moving agent is doing.
+
+    \b
+    Learn classes of movement from past tracks, then follow live agents:
+      $ wakefold learn harbour.csv -o harbour.model
+      $ wakefold track harbour.model fixes.csv -o beliefs.csv
+
+    \b
+    Exit codes: 0 done; 1 an error in the data, or lines that were refused;
+    2 wrong usage; 130 interrupted; 141 whoever read the output has gone.
+    """
+    cli_support.debug = debug
+    if version:
+        print(f"wakefold {__version__}")
+        raise typer.Exit
+
+
+@app.command()
+@guarded
+def learn(
+    tracks: Annotated[list[Path], _arg("Files of tracks; their format is recognised.")],
+    output: Annotated[Path, _opt("Directory to keep the model in.", "-o", "--output")],
+    spacing: Annotated[
+        str,
+        typer.Option(
+            help="Distance between the points of a track, such as 200m. auto: a fiftieth of the median track, "
+            "and at most 200 m for geodetic data."
+        ),
+    ] = "auto",
+    max_gap: Annotated[str, typer.Option(help="Cut a track where its agent is silent for longer.")] = "30min",
+    stop: Annotated[
+        str | None,
+        _opt("Cut a track where its agent stands: RADIUS,TIME such as 150m,10min."),
+    ] = None,
+    min_length: Annotated[str, typer.Option(help="Leave out tracks that are shorter, such as 1km.")] = "0",
+    linkage: Annotated[LinkageName, typer.Option(help="How classes join.")] = LinkageName.single,
+    epsilon: Annotated[
+        str | None,
+        _opt("Radius of the velocity field, such as 500m; learned without."),
+    ] = None,
+    columns: Columns = "",
+    threads: Annotated[int | None, _opt("Of the distances; all cores without.")] = None,
+    json_: Json = False,
+) -> None:
+    """Learn a model from past tracks.
+
+    \b
+    Examples:
+      $ wakefold learn harbour.csv -o harbour.model
+      $ wakefold learn monday.csv tuesday.csv --stop 150m,10min --min-length 1km -o week.model
+      $ wakefold learn people.csv --columns agent=who,time=t,x=px,y=py -o forum.model
+    """
+    import wakefold as wf
+    from wakefold.units import metres
+
+    with progress("reading") as update:
+        read, report = wf.read_tracks(tracks, columns=_columns(columns), progress=update)
+    show = say if json_ else print
+    show(str(report))
+    pieces = read.segment(max_gap=max_gap, **_stop(stop)).filter(min_length=min_length)
+    if not len(pieces):
+        fail("no track is left to learn from: " + "; ".join(pieces.notes))
+    step = _auto_spacing(pieces) if spacing == "auto" else metres(spacing)
+    pieces = pieces.resample(spacing=step)
+    for note in pieces.notes:
+        show(f"  {note}")
+    if len(pieces) > 5000:
+        say(f"{len(pieces):,} tracks: their distances take {len(pieces) ** 2 * 8 / 2**30:.1f} GiB of memory and more")
+    with progress("comparing tracks") as update:
+        model = wf.learn(
+            pieces,
+            linkage=linkage.value,
+            epsilon=None if epsilon is None else metres(epsilon),
+            threads=threads,
+            progress=update,
+        )
+    model.save(output)
+    tree = model.filtration
+    if json_:
+        print(json.dumps({"model": str(output), "report": report.to_dict(), **model_facts(model), "spacing": step}))
+        return
+    print(f"{pieces!r}, a point every {step:.4g} m")
+    print(repr(model))
+    print(level_table(tree))
+    print(f"kept in {output}")
+
+
+@app.command()
+@guarded
+def track(
+    model: Annotated[Path, _arg("Directory that `wakefold learn` made.")],
+    observations: Annotated[str, _arg("CSV, JSON lines or any file of tracks; - is standard input.")],
+    output: Annotated[str, typer.Option("-o", "--output", help="File for the answers; - is standard output.")] = "-",
+    levels: Annotated[
+        str | None,
+        typer.Option(
+            help="Levels to answer at: how many (3 without), or heights such as 500,2000 or 500m.", show_default=False
+        ),
+    ] = None,
+    filter: Annotated[FilterName, typer.Option(help="Who follows.")] = FilterName.mhpf,
+    rule: Annotated[RuleName | None, _opt("Update rule of mhpf; arxiv2016 without.")] = None,
+    likelihood: Annotated[LikelihoodName, typer.Option(help="Weight of a fix.")] = LikelihoodName.gaussian,
+    sd: Annotated[
+        str | None,
+        _opt("Accuracy of fixes that tell none, such as 20m; the model's without."),
+    ] = None,
+    particles: Annotated[int, typer.Option(help="Particles of each agent.")] = 500,
+    seed: Annotated[int, typer.Option(help="Of all random numbers.")] = 0,
+    forecast: Annotated[str, _opt("Forecasts to add to every answer, such as 5min,15min.")] = "",
+    format: Annotated[FormName | None, _opt("Of the answers; that of the observations without.")] = None,
+    columns: Columns = "",
+    agent: Annotated[list[str] | None, _opt("Follow this agent only; may be repeated.")] = None,
+    max_agents: Annotated[
+        int, typer.Option(help="Live agents at most; the one silent for longest is dropped.", min=1)
+    ] = 10_000,
+    max_gap: Annotated[str, typer.Option(help="An agent starts anew after a longer silence.")] = "6h",
+    picture: Annotated[Path | None, _opt("Picture (png, svg, pdf) of the first agent's beliefs.")] = None,
+) -> None:
+    """Follow agents: an answer for each observation, line by line.
+
+    \b
+    Examples:
+      $ wakefold track harbour.model fixes.csv
+      $ wakefold track harbour.model fixes.csv --levels 500,2000 --forecast 5min,15min -o beliefs.jsonl
+      $ cat fixes.csv | wakefold track harbour.model - --format jsonl
+      $ wakefold track harbour.model fixes.csv --agent ferry --picture ferry.png -o ferry.csv
+    """
+    import wakefold as wf
+    from wakefold import cli_track
+    from wakefold.units import metres, seconds
+
+    if rule is not None and filter is not FilterName.mhpf:
+        raise typer.BadParameter("only --filter mhpf has update rules", param_hint="--rule")
+    if levels is not None and filter is FilterName.bl2:
+        raise typer.BadParameter("--filter bl2 tells no classes apart", param_hint="--levels")
+    known = wf.load(model)
+    heights = [] if filter is FilterName.bl2 else cli_track.heights(levels or "3", known.filtration)
+    settings: dict[str, Any] = {"likelihood": likelihood.value, "seed": seed}
+    settings |= {} if sd is None else {"sd": metres(sd)}
+    match filter:
+        case FilterName.mhpf:
+            settings |= {} if rule is None else {"rule": rule.value}
+            follower = wf.MHPF(known, particles, levels=heights, **settings)
+        case FilterName.bl2:
+            follower = wf.BL2(known, particles, **settings)
+        case _:
+            follower = wf.BL1(known, particles, coarse=filter is FilterName.bl1_coarse, **settings)
+    horizons = sorted(seconds(part) for part in forecast.split(",") if part.strip())
+    crowd = cli_track.Crowd(follower, heights, horizons, max_agents, seconds(max_gap), say)
+    album = cli_track.Album(heights) if picture is not None else None
+    form = None if format is None else format.value
+    with progress("following", shown=output != "-") as update:
+        try:
+            refused = cli_track.run(
+                crowd, observations, output, form, _columns(columns), frozenset(agent or ()), album, update, say
+            )
+        finally:
+            if album is not None and picture is not None:
+                cli_track.draw(album, known, picture)
+    if refused:
+        raise typer.Exit(cli_support.FAILED)
+
+
+@app.command()
+@guarded
+def show(
+    model: Annotated[Path, _arg("Directory that `wakefold learn` made.")],
+    output: Annotated[Path | None, _opt("Picture (png, svg, pdf): map and tree.", "-o", "--output")] = None,
+    level: Annotated[
+        str | None,
+        _opt("Level of picture and GeoJSON, such as 500m; for the picture a telling one without."),
+    ] = None,
+    newick: Annotated[Path | None, _opt("Write the tree as Newick.")] = None,
+    linkage: Annotated[Path | None, _opt("Write the merges as scipy does, CSV or .npy.")] = None,
+    geojson: Annotated[Path | None, _opt("Write the classes of a level as GeoJSON.")] = None,
+    coastline: Annotated[Path | None, _opt("GeoJSON file to draw under the tracks.")] = None,
+    json_: Json = False,
+) -> None:
+    """Show the tree of classes and the tracks on a map; export the tree.
+
+    \b
+    Examples:
+      $ wakefold show harbour.model
+      $ wakefold show harbour.model -o harbour.png --level 500m
+      $ wakefold show harbour.model --newick tree.nwk --linkage merges.csv
+      $ wakefold show harbour.model --level 500m --geojson classes.geojson
+    """
+    import wakefold as wf
+    from wakefold import export
+    from wakefold.units import metres
+
+    if geojson is not None and level is None:
+        raise typer.BadParameter("say of which --level", param_hint="--geojson")
+    known = wf.load(model)
+    tracks, tree = known.tracks, known.filtration
+    height = None if level is None else metres(level)
+    if json_:
+        print(json.dumps({"model": str(model), **model_facts(known)}))
+    else:
+        print(repr(known))
+        print(level_table(tree))
+    done: list[Path] = []
+    if newick is not None:
+        export.write_newick(tree, newick)
+        done.append(newick)
+    if linkage is not None:
+        export.write_linkage(tree, linkage)
+        done.append(linkage)
+    if geojson is not None and height is not None:
+        export.write_classes(tracks, tree, height, geojson)
+        done.append(geojson)
+    if output is not None:
+        from wakefold import plot
+
+        plot.save(plot.filtration(tracks, tree, height, coastline=coastline), output)
+        done.append(output)
+    for path in done:
+        say(f"wrote {path}")
+
+
+@app.command()
+@guarded
+def info(
+    files: Annotated[list[Path], _arg("Files of tracks, or models.")],
+    columns: Columns = "",
+    json_: Json = False,
+) -> None:
+    """Say what files of tracks, or models, hold.
+
+    \b
+    Examples:
+      $ wakefold info harbour.csv
+      $ wakefold info harbour.model --json
+    """
+    from wakefold.cli_info import about
+
+    known = []
+    for path in files:
+        with progress("reading") as update:
+            text, facts = about(path, _columns(columns), update)
+        known.append(facts)
+        if not json_:
+            print(text)
+    if json_:
+        print(json.dumps(known if len(known) > 1 else known[0], allow_nan=False))
+
+
+@app.command()
+@guarded
+def demo(
+    out: Annotated[Path, typer.Option(help="Directory for report.html and pictures.")] = Path("demo-output"),
+    json_: Json = False,
+) -> None:
+    """Learn a week of New York Harbor and follow the ships of the day after.
+
+    \b
+    Needs the sample data: pip install "wakefold[demo]".
+    Example:
+      $ wakefold demo --out demo-output
+    """
+    from wakefold import demo as harbour
+
+    with progress("demo") as update:
+        results = harbour.run(out, update, (lambda line: None) if json_ else print)
+    if json_:
+        print(json.dumps(results, allow_nan=False))
+
+
+def main() -> None:
+    """Entry point of the ``wakefold`` command."""
+    app()
+
+
+def _columns(text: str) -> dict[str, str] | None:
+    """``agent=mmsi,time=t`` as a dict."""
+    if not text:
+        return None
+    pairs = [part.partition("=") for part in text.split(",")]
+    if not all(name.strip() and equals and value.strip() for name, equals, value in pairs):
+        raise typer.BadParameter(f"{text!r} is not like agent=mmsi,time=t,x=px,y=py", param_hint="--columns")
+    return {name.strip(): value.strip() for name, _, value in pairs}
+
+
+def _stop(text: str | None) -> dict[str, Any]:
+    """``150m,10min`` as the stop of ``Tracks.segment``."""
+    if text is None:
+        return {}
+    radius, comma, time = text.partition(",")
+    if not comma:
+        raise typer.BadParameter(f"{text!r} is not a radius and a time such as 150m,10min", param_hint="--stop")
+    return {"stop_radius": radius, "stop_time": time}
+
+
+def _auto_spacing(tracks: Tracks) -> float:
+    """A fiftieth of the median track; for geodetic data at most 200 m, as turns in a channel must not be cut."""
+    import numpy as np
+
+    lengths = tracks.length[tracks.length > 0]
+    if not len(lengths):
+        fail("no track moves: give --spacing")
+    spacing = float(np.median(lengths)) / 50
+    return spacing if tracks.projection is None else min(spacing, 200.0)

@@ -1,0 +1,83 @@
+"""What ``wakefold info`` says of a file of tracks or of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from wakefold.cli_support import level_table, model_facts
+from wakefold.io import read_tracks
+from wakefold.model import load
+from wakefold.tracks import Tracks
+
+
+def about(
+    path: Path, columns: dict[str, str] | None, progress: Callable[[int, int], None]
+) -> tuple[str, dict[str, Any]]:
+    """What a file of tracks, or the directory of a model, holds: for people, and in plain types for JSON.
+
+    Raises:
+        ReadError, StoreError: it is neither.
+    """
+    if path.is_dir():
+        model = load(path)
+        facts = {"path": str(path), "kind": "model", **model_facts(model), **_extent(model.tracks)}
+        return "\n".join([f"{path}: {model!r}", *_said(facts), level_table(model.filtration)]), facts
+    tracks, report = read_tracks(path, columns=columns, progress=progress)
+    facts = {"path": str(path), "kind": "tracks", "tracks": len(tracks), "points": len(tracks.points)}
+    facts |= _extent(tracks) | {"report": report.to_dict()}
+    return "\n".join([str(report), *_said(facts)]), facts
+
+
+def _extent(tracks: Tracks) -> dict[str, Any]:
+    """Who, when, where, how far."""
+    low, high = tracks.points.min(axis=0), tracks.points.max(axis=0)
+    out: dict[str, Any] = {
+        "agents": len(np.unique(tracks.attributes.get("agent", tracks.ids))),
+        "time": [float(tracks.times.min()), float(tracks.times.max())],
+        "geodetic": tracks.projection is not None,
+        "area": {"low": low.tolist(), "high": high.tolist()},
+        "median": {
+            "points": float(np.median(tracks.lengths)),
+            "metres": float(np.median(tracks.length)),
+            "seconds": float(np.median(tracks.duration)),
+            "spacing": _finite(tracks.median_spacing),
+            "interval": _finite(tracks.median_interval),
+        },
+    }
+    if tracks.projection is not None:
+        east, north = tracks.projection.to_geodetic(tracks.points).T
+        east = np.unwrap(np.concatenate([[tracks.projection.lon], east]), period=360.0)[1:]  # one side of the seam
+        out["area"] = {"west": east.min(), "south": north.min(), "east": east.max(), "north": north.max()}
+        out["area"] = {name: round(float(value), 6) for name, value in out["area"].items()}
+    return out
+
+
+def _said(facts: dict[str, Any]) -> list[str]:
+    """The same in lines."""
+    area, middle, (begin, end) = facts["area"], facts["median"], facts["time"]
+    if facts["geodetic"]:
+        where = f"{area['south']:.4f}..{area['north']:.4f} °N, {area['west']:.4f}..{area['east']:.4f} °E"
+        clock = [str(np.datetime64(round(t), "s")).replace("T", " ") for t in (begin, end)]
+        when = f"{clock[0]} to {clock[1]} UTC"
+    else:
+        spans = zip("xyz", area["low"], area["high"], strict=False)
+        where = ", ".join(f"{axis} {low:.6g}..{high:.6g}" for axis, low, high in spans)
+        when = f"{begin:.6g} to {end:.6g} s"
+    steps = ""
+    if middle["interval"] is not None:
+        steps = f"; a point every {middle['interval']:.4g} s or {middle['spacing']:.4g} m"
+    return [
+        f"  {facts['tracks']:,} tracks of {facts['agents']:,} agents, {facts['points']:,} points",
+        f"  when   {when}",
+        f"  where  {where}",
+        f"  median track: {middle['metres']:,.4g} m in {middle['seconds'] / 60:,.4g} min, "
+        f"{middle['points']:,.0f} points{steps}",
+    ]
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None

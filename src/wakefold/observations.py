@@ -1,0 +1,369 @@
+"""Observations of many agents as a feed, one line each, and the answers to them: CSV or JSON lines.
+
+A feed may be endless, so everything here works line by line, and a line that cannot be used costs itself only: it
+comes out as a ``Refused`` that says which field is wrong. docs/cli.md describes both formats.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple
+
+import numpy as np
+
+from wakefold.evidence import CoarseClass, Evidence, Fix
+from wakefold.io.report import ReadError, listed
+from wakefold.io.tables import recognised
+from wakefold.io.times import number, parse
+
+if TYPE_CHECKING:
+    from wakefold.filtration import Filtration
+    from wakefold.tracks import Tracks
+
+Form = Literal["csv", "jsonl"]
+BOM = b"\xef\xbb\xbf"
+LONGEST_LINE = 1 << 16  # bytes; an observation is some tens of them
+LONGEST_NAME = 200  # characters of an agent's name
+FIELDS = ("agent", "track", "time", "lon", "lat", "x", "y", "z")  # under the names that `tables` recognises
+MORE_FIELDS = ("sd", "class", "level", "confidence")
+CONFIDENCE = 0.9
+
+
+class Observation(NamedTuple):
+    """What was seen of one agent at one time; neither a fix nor a class is a time at which nothing was seen.
+
+    Attributes:
+        line: number of the line it stands on, from 1.
+        agent: name.
+        time: seconds UTC since 1970 (or on the data's own clock).
+        stamp: the time as it was written.
+        fix: a position.
+        class_: a class id, or ``track:NAME`` for the class that holds this track at the level.
+        level: of the class, metres; the birth of the class without it.
+        confidence: probability that the report of the class is right.
+    """
+
+    line: int
+    agent: str
+    time: float
+    stamp: str | float
+    fix: Fix | None = None
+    class_: int | str | None = None
+    level: float | None = None
+    confidence: float = CONFIDENCE
+
+    def coarse(self, tree: Filtration) -> list[Evidence]:
+        """The report of a class as evidence, an empty list if there is none.
+
+        Raises:
+            ValueError: no such class or track, or it is not alive at the level; the message begins with the field.
+        """
+        if self.class_ is None:
+            return []
+        try:
+            if isinstance(self.class_, int):
+                item = CoarseClass(self.class_, self.level, self.confidence)
+                item.at_level(tree)
+                return [item]
+            if self.level is None:
+                raise ValueError("a class given by a track needs a level")
+            named = tree.class_at(self.class_.removeprefix("track:"), self.level)
+            return [CoarseClass(named, self.level, self.confidence)]
+        except ValueError as error:
+            raise ValueError(f"class: {error}") from None
+
+
+class Refused(NamedTuple):
+    """A line that is no observation, and why: the field first."""
+
+    line: int
+    why: str
+
+
+def form_of(first: bytes) -> Form:
+    """Whether a feed is JSON lines or CSV, by its first line that is not blank."""
+    return "jsonl" if first.removeprefix(BOM).lstrip().startswith(b"{") else "csv"
+
+
+def header_problem(first: bytes, columns: Mapping[str, str] | None = None) -> str | None:
+    """What the first line of a CSV feed lacks to be a header of observations; None if nothing."""
+    names = _layout(first.removeprefix(BOM))[1]
+    found = _Names(columns or {}).ours(tuple(names))
+    missing = [] if {"agent", "track"} & found.keys() else ["agent"]
+    missing += [] if "time" in found else ["time"]
+    if not ({"lon", "lat"} <= found.keys() or {"x", "class"} & found.keys()):
+        missing.append("lon and lat (or x and y, or class)")
+    return f"no column for {listed(missing)} among {listed(names)}"[:500] if missing else None
+
+
+def read(
+    lines: Iterable[tuple[int, bytes]], columns: Mapping[str, str] | None = None
+) -> Iterator[Observation | Refused]:
+    """Observations of a feed, as its lines come.
+
+    Args:
+        lines: numbers from 1, and texts with or without their ends; blank ones are skipped.
+        columns: the feed's names of fields, by ours, where they do not speak for themselves.
+
+    Raises:
+        ReadError: the header of a CSV feed does not say who and when.
+    """
+    numbered = ((n, line.removeprefix(BOM)) for n, line in lines if line.strip())
+    first = next(numbered, None)
+    if first is None:
+        return
+    if form_of(first[1]) == "jsonl":
+        rows = map(_json_row, chain([first], numbered))
+    else:
+        if problem := header_problem(first[1], columns):
+            raise ReadError(f"observations: {problem}")
+        rows = _csv_rows(first[1], numbered)
+    names = _Names(columns or {})
+    for line, row in rows:
+        try:
+            yield _observation(line, row if isinstance(row, str) else names(row))
+        except ValueError as error:
+            yield Refused(line, str(error))
+
+
+def is_feed(first: bytes, columns: Mapping[str, str] | None = None) -> bool:
+    """Whether the first line that is not blank is one of a feed: a header, or an object, that says who and when."""
+    if form_of(first) == "csv":
+        return header_problem(first, columns) is None
+    row = _json_row((1, first))[1]
+    return isinstance(row, dict) and {"agent", "time"} <= _Names(columns or {}).ours(tuple(row)).keys()
+
+
+def numbered_lines(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    """Lines of a stream with their numbers, each as soon as it is there.
+
+    Of a line longer than ``LONGEST_LINE`` that much and a byte comes, so that ``read`` refuses it.
+    """
+    number = 0
+    while line := stream.readline(LONGEST_LINE + 1):
+        number += 1
+        rest = line
+        while len(rest) > LONGEST_LINE and not rest.endswith(b"\n"):
+            rest = stream.readline(LONGEST_LINE + 1)
+        yield number, line
+
+
+def of_tracks(tracks: Tracks) -> Iterator[Observation]:
+    """The points of tracks as fixes of their agents, all in the order of time."""
+    owner = np.repeat(np.arange(len(tracks)), tracks.lengths)
+    names = tracks.attributes.get("agent", tracks.ids)
+    geodetic = tracks.projection is not None
+    places = tracks.projection.to_geodetic(tracks.points) if tracks.projection is not None else tracks.points
+    for count, row in enumerate(np.argsort(tracks.times, kind="stable"), 1):
+        fix = Fix(lon=places[row, 0], lat=places[row, 1]) if geodetic else Fix(places[row])
+        time = float(tracks.times[row])
+        stamp = str(np.datetime64(round(1000 * time), "ms")) + "Z" if geodetic else time
+        yield Observation(count, str(names[owner[row]]), time, stamp, fix)
+
+
+# Lines to fields
+
+
+def _json_row(numbered: tuple[int, bytes]) -> tuple[int, dict[str, Any] | str]:
+    line, text = numbered
+    if len(text) > LONGEST_LINE:
+        return line, f"line: longer than {LONGEST_LINE:,} bytes"
+    try:
+        row = json.loads(text)
+    except (ValueError, RecursionError):
+        return line, f"line: not JSON: {text[:80].decode('utf-8', 'replace').strip()!r}"
+    return line, row if isinstance(row, dict) else "line: not a JSON object"
+
+
+def _layout(header: bytes) -> tuple[str, list[str]]:
+    """Delimiter and names of the columns."""
+    text = header.decode("utf-8", "replace").strip("\r\n")
+    delimiter = max(",;\t|", key=text.count)
+    return delimiter, [name.strip() for name in next(csv.reader([text], delimiter=delimiter))]
+
+
+def _csv_rows(header: bytes, rest: Iterable[tuple[int, bytes]]) -> Iterator[tuple[int, dict[str, Any] | str]]:
+    delimiter, names = _layout(header)
+    for line, raw in rest:
+        if len(raw) > LONGEST_LINE:
+            yield line, f"line: longer than {LONGEST_LINE:,} bytes"
+            continue
+        try:
+            cells = next(csv.reader([raw.decode("utf-8", "replace").strip("\r\n")], delimiter=delimiter, strict=True))
+        except csv.Error:
+            yield line, "line: a quotation mark is out of place"
+            continue
+        if len(cells) != len(names):
+            yield line, f"line: {len(cells)} fields, the header has {len(names)}"
+            continue
+        yield line, dict(zip(names, map(str.strip, cells), strict=True))
+
+
+class _Names:
+    """Fields under our names. The keys of a JSON feed may differ from line to line; few sets of them come."""
+
+    def __init__(self, columns: Mapping[str, str]) -> None:
+        self.columns = columns
+        self._known: dict[tuple[str, ...], dict[str, str]] = {}
+
+    def __call__(self, row: Mapping[str, Any]) -> dict[str, Any]:
+        theirs = self.ours(tuple(row))
+        return {ours: row[name] for ours, name in theirs.items() if row[name] not in (None, "")}
+
+    def ours(self, keys: tuple[str, ...]) -> dict[str, str]:
+        """Their name of each of our fields that is there."""
+        theirs = self._known.get(keys)
+        if theirs is None:
+            plain = {name.strip().lower(): name for name in keys}
+            theirs = {ours: name for ours, name in recognised(keys).items() if ours in FIELDS}
+            theirs |= {ours: plain[ours] for ours in MORE_FIELDS if ours in plain}
+            theirs |= {ours: name for ours, name in self.columns.items() if name in keys}
+            if len(self._known) < 1000:
+                self._known[keys] = theirs
+        return theirs
+
+
+# Fields to an observation
+
+
+def _observation(line: int, row: Mapping[str, Any] | str) -> Observation:
+    if isinstance(row, str):
+        raise ValueError(row)
+    agent = row.get("agent", row.get("track"))
+    if agent is None or isinstance(agent, (bool, dict, list)):
+        raise ValueError("agent: missing")
+    if len(str(agent)) > LONGEST_NAME:
+        raise ValueError(f"agent: longer than {LONGEST_NAME} characters")
+    if "time" not in row:
+        raise ValueError("time: missing")
+    time = parse(row["time"])
+    if not math.isfinite(time):
+        raise ValueError(f"time: {row['time']!r} is neither ISO 8601 nor a number of seconds")
+    class_ = _class(row["class"]) if "class" in row else None
+    level, confidence = _number(row, "level"), _number(row, "confidence")
+    stamp = row["time"] if isinstance(row["time"], (int, float)) else str(row["time"])
+    sure = CONFIDENCE if confidence is None else confidence
+    return Observation(line, str(agent), time, stamp, _fix(row), class_, level, sure)
+
+
+def _fix(row: Mapping[str, Any]) -> Fix | None:
+    sd = _number(row, "sd")
+    if "lon" in row or "lat" in row:
+        return Fix(lon=_number(row, "lon"), lat=_number(row, "lat"), sd=sd)
+    position = [value for name in ("x", "y", "z") if (value := _number(row, name)) is not None]
+    return Fix(position, sd=sd) if position else None
+
+
+def _number(row: Mapping[str, Any], name: str) -> float | None:
+    if name not in row:
+        return None
+    value = number(row[name])
+    if not math.isfinite(value):
+        raise ValueError(f"{name}: {row[name]!r} is not a finite number")
+    return value
+
+
+def _class(value: Any) -> int | str:
+    if isinstance(value, str) and value.startswith("track:"):
+        return value
+    try:
+        if isinstance(value, bool) or int(value) != float(value):
+            raise ValueError
+        return int(value)
+    except (ValueError, TypeError, OverflowError):
+        raise ValueError(f"class: {value!r} is neither the number of a class nor track:NAME") from None
+
+
+# Answers
+
+
+class Place(NamedTuple):
+    """An estimated position: ``names`` say of what (lon and lat, or x, y, z); sd per axis, metres."""
+
+    names: tuple[str, ...]
+    values: tuple[float, ...]
+    sd: float
+
+
+class Best(NamedTuple):
+    """The likeliest class of a level."""
+
+    level: float
+    class_: int
+    probability: float
+    tracks: int
+
+
+class Answer(NamedTuple):
+    """What is believed of an agent after an observation.
+
+    Attributes:
+        event: "start" of an agent, "step", "recovery" (lost and found again) or "restart" after a long silence.
+        ahead: (seconds, place) of each forecast.
+    """
+
+    agent: str
+    stamp: str | float
+    event: str
+    place: Place
+    ess: float
+    recoveries: int
+    levels: Sequence[Best]
+    ahead: Sequence[tuple[float, Place]]
+
+
+def csv_header(place: Sequence[str], levels: Sequence[float], ahead: Sequence[float]) -> str:
+    """The header over ``csv_line`` of answers with these levels (metres) and forecasts (seconds)."""
+    names = ["agent", "time", "event", *place, "sd", "ess", "recoveries"]
+    for level in levels:
+        names += [f"class@{level:.6g}", f"probability@{level:.6g}", f"tracks@{level:.6g}"]
+    for seconds in ahead:
+        names += [f"{name}+{seconds:.6g}s" for name in (*place, "sd")]
+    return _csv(names)
+
+
+def csv_line(answer: Answer) -> str:
+    """One line, with its end."""
+    cells = [answer.agent, answer.stamp, answer.event, *_place(answer.place).values()]
+    cells += [f"{answer.ess:.1f}", answer.recoveries]
+    for best in answer.levels:
+        cells += [best.class_, f"{best.probability:.6f}", best.tracks]
+    for _, place in answer.ahead:
+        cells += _place(place).values()
+    return _csv(cells)
+
+
+def json_line(answer: Answer) -> str:
+    """One line, with its end."""
+    row = {
+        "agent": answer.agent,
+        "time": answer.stamp,
+        "event": answer.event,
+        "estimate": _place(answer.place),
+        "ess": round(answer.ess, 1),
+        "recoveries": answer.recoveries,
+        "levels": [
+            {"level": b.level, "class": b.class_, "probability": round(b.probability, 6), "tracks": b.tracks}
+            for b in answer.levels
+        ],
+    }
+    if answer.ahead:
+        row["forecast"] = [{"seconds": seconds, **_place(place)} for seconds, place in answer.ahead]
+    return json.dumps(row, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _place(place: Place) -> dict[str, float]:
+    digits = 6 if "lon" in place.names else 3  # 0.1 m, 1 mm
+    out = {name: round(value, digits) for name, value in zip(place.names, place.values, strict=True)}
+    return {**out, "sd": float(f"{place.sd:.4g}")}
+
+
+def _csv(cells: Iterable[Any]) -> str:
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerow(cells)
+    return out.getvalue()
