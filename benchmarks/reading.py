@@ -37,6 +37,7 @@ PEER = """
 import sys, time, json, resource
 import duckdb
 connection = duckdb.connect(config={"threads": 2})
+connection.execute("SET enable_progress_bar = false")
 query = f'''SELECT MMSI, count(*) AS n, min(BaseDateTime), max(BaseDateTime), avg(LAT), avg(LON), avg(SOG), avg(COG),
     avg(Heading), last(VesselName), last(CallSign), last(VesselType), last(Length), last(Width)
     FROM read_csv('{sys.argv[1]}') GROUP BY MMSI'''

@@ -29,6 +29,7 @@ class Collector:
     def __init__(self) -> None:
         self.tally = Tally()
         self._codes: dict[str, int] = {}
+        self._seen: dict[Any, int] = {}  # values of agents as they stand in files, whose names are known
         self._trajectories: dict[str, int] = {}
         self._plane: str | None = None
         self._geodetic = False
@@ -106,10 +107,20 @@ class Collector:
                 name += "+"
             return np.full(n, self._codes.setdefault(name, len(self._codes)), dtype=np.int32)
         encoded = agent.dictionary_encode()
-        names = [_identity(value) for value in encoded.dictionary.to_pylist()]
-        codes = [self._codes.setdefault(name, len(self._codes)) if name else -1 for name in names]
+        values = encoded.dictionary.to_pylist()
+        try:
+            codes = [self._seen[value] for value in values]
+        except KeyError:
+            codes = [self._code(value) for value in values]
         table = np.array([*codes, -1], dtype=np.int32)
-        return table[encoded.indices.fill_null(len(names)).to_numpy(zero_copy_only=False)]
+        return table[encoded.indices.fill_null(len(values)).to_numpy(zero_copy_only=False)]
+
+    def _code(self, value: Any) -> int:
+        """Number of an agent given by its value in a file."""
+        if value not in self._seen:
+            name = _identity(value)
+            self._seen[value] = self._codes.setdefault(name, len(self._codes)) if name else -1
+        return self._seen[value]
 
     def finish(self, format: str, max_speed: float | Literal["auto"] | None = "auto") -> tuple[Tracks, Report]:
         """Group by agent, sort by time, drop what contradicts itself, project.

@@ -20,6 +20,10 @@ NUMBER = r"^\s*[+-]?(\d{1,30}\.?\d{0,30}|\.\d{1,30})([eE][+-]?\d{1,2})?\s*$"
 """What is taken for a number where the parser found something that is none."""
 
 
+MERGE = 200_000
+"""Values put aside before they are merged."""
+
+
 @dataclass
 class Rows:
     """A batch of position records.
@@ -75,35 +79,59 @@ class Static:
 
 
 class Latest:
-    """The last value of each agent that is not empty, over batches of rows."""
+    """The last value of each agent that is not empty, over batches of rows.
+
+    The last values of each batch are put aside, as arrow arrays, and merged when they have become many.
+    """
 
     def __init__(self) -> None:
-        self._values = np.empty(0, dtype=object)
+        self._codes: list[NDArray[np.integer]] = []
+        self._values: list[pa.Array] = []
+        self._room = 0
         self._numbers = True
 
     def add(self, codes: NDArray[np.int32], values: pa.Array, good: NDArray[np.bool_]) -> None:
         """Take up the values ``(n,)`` of the good rows, whose agents are ``codes``."""
         self._numbers &= pa.types.is_floating(values.type)
-        known = ~values.is_null(nan_is_null=True).to_numpy(zero_copy_only=False) & good
-        if is_text(values):
-            known &= pc.fill_null(pc.greater(pc.binary_length(values), 0), False).to_numpy(zero_copy_only=False)
-        rows = np.flatnonzero(known)
-        if not len(rows):
-            return
-        agents = int(codes[rows].max()) + 1
-        if agents > len(self._values):
-            self._values = np.concatenate([self._values, np.full(2 * agents - len(self._values), None, dtype=object)])
-        last = np.full(agents, -1, dtype=np.int64)
-        last[codes[rows]] = rows  # of repeated codes numpy keeps the last
-        changed = np.flatnonzero(last >= 0)
-        self._values[changed] = values.take(pa.array(last[changed])).to_pylist()
+        if not pa.types.is_floating(values.type):
+            values = values.cast(pa.string() if pa.types.is_integer(values.type) else pa.binary()).cast(pa.binary())
+            known = pc.greater(pc.binary_length(values), 0).fill_null(False)
+        else:
+            known = pc.invert(values.is_null(nan_is_null=True))
+        rows = np.flatnonzero(known.to_numpy(zero_copy_only=False) & good)
+        if len(rows):
+            changed, where = _last(codes[rows])
+            self._codes.append(changed)
+            self._values.append(values.take(pa.array(rows[where])))
+            if sum(map(len, self._codes)) > self._room:
+                self._merge()
+                self._room = max(MERGE, 8 * len(self._codes[0]))
+
+    def _merge(self) -> None:
+        if len({values.type for values in self._values}) > 1:  # numbers in one file, texts in another
+            self._values = [values.cast(pa.string()).cast(pa.binary()) for values in self._values]
+        changed, where = _last(np.concatenate(self._codes))
+        self._codes = [changed]
+        self._values = [pa.concat_arrays(self._values).take(pa.array(where))]
 
     def of(self, codes: NDArray[np.integer]) -> NDArray[Any]:
         """``(m,)`` values of agents: float64 with NaN if floats were given, else text with ""."""
-        known = [self._values[c] if c < len(self._values) else None for c in codes]
+        known: dict[int, Any] = {}
+        if self._codes:
+            self._merge()
+            known = dict(zip(self._codes[0].tolist(), self._values[0].to_pylist(), strict=True))
+        found = [known.get(code) for code in codes.tolist()]
         if self._numbers:
-            return np.array([np.nan if value is None else value for value in known], dtype=np.float64)
-        return np.array(["" if value is None else as_text(value) for value in known], dtype=np.str_)
+            return np.array([np.nan if value is None else value for value in found], dtype=np.float64)
+        return np.array([as_text(value) for value in found], dtype=np.str_)
+
+
+def _last(codes: NDArray[np.integer]) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
+    """The codes that occur, ascending, and where each occurs last."""
+    last = np.full(int(codes.max()) + 1, -1, dtype=np.int64)
+    last[codes] = np.arange(len(codes))  # of repeated codes numpy keeps the last
+    changed = np.flatnonzero(last >= 0)
+    return changed, last[changed]
 
 
 def is_text(values: pa.Array) -> bool:

@@ -105,7 +105,7 @@ class Tally:
         if count:
             self.rejected[reason] += count
             shown = self.offences.setdefault(reason, [])
-            for (line, text), _ in zip(first, range(SHOWN - len(shown)), strict=False):
+            for _, (line, text) in zip(range(SHOWN - len(shown)), first, strict=False):  # no text is made in vain
                 shown.append(Offence(file or self.files[-1], line, _clip(text)))
 
     def note(self, text: str, count: int = 1) -> None:

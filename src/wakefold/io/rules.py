@@ -15,7 +15,7 @@ Mask = NDArray[np.bool_]
 
 THREADS = 2
 CHUNK = 1 << 18
-CENTRING_SAMPLE = 1_000_000
+CENTRING_SAMPLE = 100_000
 EARTH_RADIUS = 6_371_008.8
 """Mean radius, metres."""
 

@@ -15,7 +15,7 @@ from wakefold.io.report import ReadError
 
 HEAD = 1 << 16
 """Bytes that are looked at to recognise a format."""
-BLOCK = 4 << 20
+BLOCK = 8 << 20
 LONGEST_LINE = 256 << 20
 LEAST_LIMIT = 256 << 20
 GREATEST_RATIO = 200
