@@ -7,6 +7,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from wakefold.belief import Belief
+    from wakefold.distance import frechet, frechet_matrix
     from wakefold.evidence import CoarseClass, Fix
     from wakefold.filters.bootstrap import BL1, BL2
     from wakefold.filters.mhpf import MHPF
@@ -25,6 +26,8 @@ _WHERE = {  # looked up on first use: importing the package costs no numba, pyar
     "MHPF": "filters.mhpf",
     "Model": "model",
     "Tracks": "tracks",
+    "frechet": "distance",
+    "frechet_matrix": "distance",
     "learn": "model",
     "load": "model",
     "read_tracks": "io",
@@ -34,6 +37,8 @@ __all__ = [  # noqa: RUF022 (by subject)
     "read_tracks",
     "write_tracks",
     "Tracks",
+    "frechet",
+    "frechet_matrix",
     "Filtration",
     "Model",
     "learn",

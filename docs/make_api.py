@@ -1,0 +1,70 @@
+"""Writes docs/api.md from the docstrings: ``python docs/make_api.py``. A test holds the page to the code."""
+
+import inspect
+import sys
+from pathlib import Path
+
+import wakefold
+
+PAGE = Path(__file__).with_name("api.md")
+
+
+def entry(name: str, thing, depth: int) -> list[str]:
+    lines = [f"{'#' * depth} `{name}`", ""]
+    if not isinstance(thing, property):
+        parameters, named = [], False
+        for p in inspect.signature(thing).parameters.values():
+            if p.kind is p.KEYWORD_ONLY and not named:
+                parameters.append("*")
+            named |= p.kind in (p.KEYWORD_ONLY, p.VAR_POSITIONAL)
+            parameters.append(str(p).replace("'", ""))
+        call = f"{name}({', '.join(parameters)})"
+        lines += [
+            "```python",
+            call if len(call) <= 100 else f"{name}(\n    " + ",\n    ".join(parameters) + ",\n)",
+            "```",
+            "",
+        ]
+    return [*lines, "```text", inspect.getdoc(thing) or "", "```", ""]
+
+
+def members(thing) -> list[tuple[str, object]]:
+    """Public methods and properties, inherited ones included, in the order of their names."""
+    out = []
+    for name in sorted(dir(thing)):
+        member = inspect.getattr_static(thing, name)
+        if name.startswith("_") or (
+            not isinstance(member, (property, classmethod, staticmethod)) and not callable(member)
+        ):
+            continue
+        if inspect.getdoc(getattr(thing, name)):
+            out.append((name, member))
+    return out
+
+
+def page() -> str:
+    lines = [
+        "# API reference",
+        "",
+        "Made from the docstrings by `python docs/make_api.py`. Lengths are metres, times",
+        "seconds UTC; `(N, d)` is the shape of an array.",
+        "",
+    ]
+    for name in wakefold.__all__:
+        thing = getattr(wakefold, name)
+        lines += entry(f"wakefold.{name}", thing, 2)
+        if inspect.isclass(thing):
+            for inner, member in members(thing):
+                lines += entry(f"{name}.{inner}", member if isinstance(member, property) else getattr(thing, inner), 3)
+    lines += ["## Pictures: `wakefold.plot`", ""]
+    from wakefold import plot
+
+    for name in plot.__all__:
+        lines += entry(f"plot.{name}", getattr(plot, name), 3)
+    return "\n".join(lines).rstrip() + "\n"
+
+
+if __name__ == "__main__":
+    if sys.argv[1:]:
+        sys.exit(__doc__)
+    PAGE.write_text(page())
