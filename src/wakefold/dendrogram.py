@@ -94,3 +94,21 @@ def _parents(lo: Ints, hi: Ints) -> Ints:
             parent[c] = stack[-1]
         stack.append(c)
     return np.array(parent, dtype=np.int64)
+
+
+def range_maxima(gaps: Floats) -> Floats:
+    """Sparse table ``(log2 M, M - 1)`` for ``largest_between``: row k holds the maxima of 2^k neighbouring gaps."""
+    rows = [gaps if len(gaps) else np.zeros(1)]
+    while 1 << len(rows) <= len(gaps):
+        half = 1 << (len(rows) - 1)
+        row = rows[-1].copy()
+        row[:-half] = np.maximum(row[:-half], rows[-1][half:])
+        rows.append(row)
+    return np.stack(rows)
+
+
+def largest_between(maxima: Floats, i: Ints, j: Ints) -> Floats:
+    """``max(gaps[i:j])``, elementwise, from the table of ``range_maxima``; 0 where i = j."""
+    k = np.maximum(np.frexp(j - i)[1] - 1, 0)  # floor of the logarithm to base 2
+    last = np.maximum(j - (1 << k), 0)
+    return np.where(i < j, np.maximum(maxima[k, np.minimum(i, maxima.shape[1] - 1)], maxima[k, last]), 0.0)

@@ -17,13 +17,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wakefold import store
-from wakefold.dendrogram import classes, leaf_order
+from wakefold.dendrogram import classes, largest_between, leaf_order, range_maxima
 from wakefold.distance import frechet_matrix
+from wakefold.spanning import spanning_tree
 from wakefold.tracks import Floats, Tracks
 
 Ints = NDArray[np.int64]
 Linkage = Literal["single", "complete"]
 KIND = "filtration"
+
+_SMALL, _SMALL_POINTS = 2000, 1 << 16  # tracks, points of a set whose matrix takes less time than compiling the rest
+_COMPLETE = 10_000  # tracks: a matrix of 0.8 GB and two of half its size
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -98,8 +102,12 @@ class Filtration:
             threads: all cores by default; the result does not depend on it.
             progress: called with the share of the work done, 0 to 1.
 
+        A small set goes by its matrix of distances; a large one by ``wakefold.spanning``, which compiles more code but
+        computes few of the distances and keeps none. The result is the same.
+
         Raises:
-            ValueError: no tracks, an unknown linkage, or positions so far apart that a distance overflows.
+            ValueError: no tracks, an unknown linkage, too many tracks for complete linkage (which needs the matrix), or
+                positions so far apart that a distance overflows.
         """
         if len(tracks) == 0:
             raise ValueError("no tracks to build a filtration from")
@@ -107,6 +115,13 @@ class Filtration:
             raise ValueError(f"linkage must be 'single' or 'complete', got {linkage!r}")
         if len(tracks) == 1:
             return cls(np.zeros(1, np.int64), np.empty(0), tracks.ids, linkage)
+        if linkage == "complete" and len(tracks) > _COMPLETE:
+            raise ValueError(
+                f"complete linkage holds a matrix of distances: {_COMPLETE:,} tracks at most, not {len(tracks):,}"
+            )
+        if linkage == "single" and (len(tracks) > _SMALL or len(tracks.points) > _SMALL_POINTS):
+            order, gaps = leaf_order(*spanning_tree(tracks, threads, progress))
+            return cls(order, gaps, tracks.ids, linkage)
         distances = frechet_matrix(tracks, threads=threads, progress=progress)
         return cls.from_distances(distances, tracks.ids, linkage)
 
@@ -259,11 +274,7 @@ class Filtration:
         # The smallest class that holds both is born at the largest gap of the range that spans both.
         start = np.minimum(self.lo[a], self.lo[b])
         stop = np.where(a == b, start, np.maximum(self.hi[a], self.hi[b]) - 1)
-        table = self._range_maxima
-        width = stop - start
-        k = np.maximum(np.frexp(np.maximum(width, 1))[1] - 1, 0)  # floor of the logarithm to base 2
-        last = np.maximum(stop - (1 << k), 0)
-        found = np.where(width > 0, np.maximum(table[k, np.minimum(start, table.shape[1] - 1)], table[k, last]), 0.0)
+        found = largest_between(self._range_maxima, start, stop)
         return float(found) if found.ndim == 0 else found
 
     def medoid(self, c: int, tracks: Tracks, limit: int = 1000) -> int:
@@ -411,14 +422,7 @@ class Filtration:
 
     @cached_property
     def _range_maxima(self) -> Floats:
-        """Sparse table ``(log2 M, M - 1)``: row k holds the maxima of 2^k neighbouring gaps."""
-        rows = [self.gaps if len(self.gaps) else np.zeros(1)]
-        while 1 << len(rows) <= len(self.gaps):
-            half = 1 << (len(rows) - 1)
-            row = rows[-1].copy()
-            row[:-half] = np.maximum(row[:-half], rows[-1][half:])
-            rows.append(row)
-        return np.stack(rows)
+        return range_maxima(self.gaps)
 
     def _check(self, c: int) -> None:
         if not 0 <= c <= self.root:

@@ -31,6 +31,15 @@ def lanes_of(array):
 
 
 @njit(cache=True, nogil=True)
+def longest(offsets, tracks, start, stop):
+    """Points of the longest of ``tracks[start:stop]``."""
+    length = offsets[0]
+    for k in range(start, stop):
+        length = max(length, offsets[tracks[k] + 1] - offsets[tracks[k]])
+    return length
+
+
+@njit(cache=True, nogil=True)
 def pack(points, start, stop, rows, out, lane):
     """Write one track into a lane of a batch and pad it with its last point.
 
@@ -41,10 +50,11 @@ def pack(points, start, stop, rows, out, lane):
     """
     d = points.shape[1]
     lanes = lanes_of(out)
-    for row in range(rows):
-        source = min(start + row, stop - 1)
-        for axis in range(d):
-            out[(row * d + axis) * lanes + lane] = points[source, axis]
+    for axis in range(d):
+        for row in range(stop - start):
+            out[(row * d + axis) * lanes + lane] = points[start + row, axis]
+        for row in range(stop - start, rows):
+            out[(row * d + axis) * lanes + lane] = points[stop - 1, axis]
 
 
 @njit(cache=True, nogil=True)
@@ -112,11 +122,11 @@ def rows_against_columns(points, offsets, rows, skip, columns, width, begin, pac
     """
     d = points.shape[1]
     lanes = lanes_of(packed)
-    longest = 0
-    for track in rows:
-        longest = max(longest, offsets[track + 1] - offsets[track])
-    a = np.empty((longest + TILE) * d * lanes, packed.dtype)
-    table = np.empty(max(1, np.max(width)) * lanes, packed.dtype)
+    a = np.empty((longest(offsets, rows, 0, len(rows)) + TILE) * d * lanes, packed.dtype)
+    widest = width[0]
+    for each in width:
+        widest = max(widest, each)
+    table = np.empty(widest * lanes, packed.dtype)
     for r in range(len(rows)):
         track = rows[r]
         height = (offsets[track + 1] - offsets[track] + TILE - 1) // TILE * TILE
@@ -130,3 +140,31 @@ def rows_against_columns(points, offsets, rows, skip, columns, width, begin, pac
                 out[track, columns[column]] = distance
                 if mirror:
                     out[columns[column], track] = distance
+
+
+@njit(cache=True, nogil=True)
+def pairs_of_tracks(points, offsets, first, second, axes, out):
+    """Fréchet distances of listed pairs of tracks.
+
+    Args:
+        points, offsets: ragged tracks.
+        first, second: ``(n,)`` tracks; no padding is wasted if neighbours in the list are of similar lengths.
+        axes: tuple of d integers.
+        out: ``(n,)`` distances.
+    """
+    d = points.shape[1]
+    lanes = lanes_of(points)
+    a = np.empty((longest(offsets, first, 0, len(first)) + TILE) * d * lanes, points.dtype)
+    b = np.empty(longest(offsets, second, 0, len(second)) * d * lanes, points.dtype)
+    table = np.empty(longest(offsets, second, 0, len(second)) * lanes, points.dtype)
+    for start in range(0, len(first), lanes):
+        stop = min(start + lanes, len(first))
+        rows = (longest(offsets, first, start, stop) + TILE - 1) // TILE * TILE
+        columns = longest(offsets, second, start, stop)
+        for lane in range(lanes):
+            k = min(start + lane, stop - 1)
+            pack(points, offsets[first[k]], offsets[first[k] + 1], rows, a, lane)
+            pack(points, offsets[second[k]], offsets[second[k] + 1], columns, b, lane)
+        batch_squared(a, rows, b, columns, table, axes)
+        for k in range(start, stop):
+            out[k] = np.sqrt(table[(columns - 1) * lanes + k - start])

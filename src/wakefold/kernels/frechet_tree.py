@@ -1,0 +1,192 @@
+"""Which pairs of tracks can matter for the minimum spanning tree: lower bounds, boxes of tracks, a growing forest."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+# There is no NaN here, and knowing that lets LLVM vectorise a maximum.
+ORDERED = {"nnan", "nsz"}
+
+
+@njit(cache=True, nogil=True)
+def track_features(points, offsets, middle, scale, directions, landmarks, first, last, out):
+    """Features of tracks whose differences bound the Fréchet distance from below, see ``wakefold.spanning``.
+
+    Args:
+        points, offsets: ragged tracks.
+        middle, scale: features are those of ``(points - middle) * scale``.
+        directions: ``(u, d)`` unit vectors.
+        landmarks: ``(z, d)`` places, moved and scaled like the points.
+        first, last: tracks to do.
+        out: ``(M, 2 d + 2 u + z)``: first point, last point, reach along and against each direction, distance to each
+            landmark.
+    """
+    d, directed = points.shape[1], len(directions)
+    at = np.empty(d)
+    for track in range(first, last):
+        for f in range(2 * d, out.shape[1]):
+            out[track, f] = -np.inf if f < 2 * d + 2 * directed else np.inf
+        for row in range(offsets[track], offsets[track + 1]):
+            for k in range(d):
+                at[k] = (points[row, k] - middle[k]) * scale
+                if row == offsets[track]:
+                    out[track, k] = at[k]
+                out[track, d + k] = at[k]
+            for u in range(directed):
+                along = 0.0
+                for k in range(d):
+                    along += at[k] * directions[u, k]
+                f = 2 * d + 2 * u
+                out[track, f], out[track, f + 1] = max(out[track, f], along), max(out[track, f + 1], -along)
+            for z in range(len(landmarks)):
+                square = 0.0
+                for k in range(d):
+                    square += (at[k] - landmarks[z, k]) ** 2
+                f = 2 * d + 2 * directed + z
+                out[track, f] = min(out[track, f], np.sqrt(square))
+
+
+@njit(cache=True, nogil=True)
+def find(root, x):
+    """Representative of the set of x; halves the path to it."""
+    while root[x] != x:
+        root[x] = root[root[x]]
+        x = root[x]
+    return x
+
+
+@njit(cache=True, nogil=True)
+def grow_forest(first, second, heights, taken, order, gaps):
+    """Kruskal's algorithm over edges by rising height, and the dendrogram of the forest it finds.
+
+    Args:
+        first, second: ``(n,)`` tracks of each edge.
+        heights: ``(n,)`` rising.
+        taken: ``(n,)`` bool, set where an edge joins two parts.
+        order: ``(M,)`` tracks such that each part at each height is a range.
+        gaps: ``(M - 1,)`` height that joins neighbours of ``order``, inf between trees.
+    """
+    tracks = len(order)
+    root, head = np.empty(tracks, np.int64), np.empty(tracks, np.int64)
+    tail, after = np.empty(tracks, np.int64), np.empty(tracks, np.int64)
+    above = np.empty(tracks)
+    for x in range(tracks):
+        root[x] = head[x] = tail[x] = x
+        after[x], above[x] = -1, np.inf
+    for k in range(len(first)):
+        a, b = find(root, first[k]), find(root, second[k])
+        taken[k] = a != b
+        if a != b:
+            after[tail[a]], above[tail[a]] = head[b], heights[k]
+            root[b], tail[a] = a, tail[b]
+    rank = 0
+    for x in range(tracks):
+        if root[x] == x:
+            y = head[x]
+            while y >= 0:
+                order[rank] = y
+                if rank < tracks - 1:
+                    gaps[rank] = above[y]
+                y = after[y]
+                rank += 1
+
+
+@njit(cache=True, nogil=True, fastmath=ORDERED)
+def corners(features, bounds, low, high):
+    """Corners ``(n, F)`` of boxes around the tracks ``bounds[k]:bounds[k + 1]``, none of them empty."""
+    for k in range(len(bounds) - 1):
+        for f in range(features.shape[1]):
+            low[k, f] = high[k, f] = features[bounds[k], f]
+        for x in range(bounds[k] + 1, bounds[k + 1]):
+            for f in range(features.shape[1]):
+                low[k, f], high[k, f] = min(low[k, f], features[x, f]), max(high[k, f], features[x, f])
+
+
+@njit(cache=True, nogil=True)
+def label_boxes(part, bounds, box_part):
+    """Part of each box whose tracks are all of one part, -1 for the others.
+
+    Args:
+        part: ``(M,)`` part of each track.
+        bounds: ``(leaves + 1,)`` tracks of each leaf box.
+        box_part: ``(2 * leaves - 1,)``; the halves of box n are 2 n + 1 and 2 n + 2, leaves come last.
+    """
+    leaves = len(bounds) - 1
+    for leaf in range(leaves):
+        label = part[bounds[leaf]]
+        for x in range(bounds[leaf] + 1, bounds[leaf + 1]):
+            if part[x] != label:
+                label = -1
+                break
+        box_part[leaves - 1 + leaf] = label
+    for n in range(leaves - 2, -1, -1):
+        box_part[n] = box_part[2 * n + 1] if box_part[2 * n + 1] == box_part[2 * n + 2] else -1
+
+
+@njit(cache=True, nogil=True, fastmath=ORDERED)
+def gap_squared(low, high, n, m, d, limit):
+    """Squared lower bound of the distance between box n and box m; above the limit it may be too low."""
+    worst = np.float32(0.0)
+    for end in range(0, 2 * d, d):
+        total = np.float32(0.0)
+        for k in range(end, end + d):
+            g = max(np.float32(0.0), max(low[n, k] - high[m, k], low[m, k] - high[n, k]))
+            total += g * g
+        worst = max(worst, total)
+    if worst >= limit:
+        return worst
+    widest = np.float32(0.0)
+    for k in range(2 * d, low.shape[1]):
+        widest = max(widest, max(low[n, k] - high[m, k], low[m, k] - high[n, k]))
+    return max(worst, widest * widest)
+
+
+@njit(cache=True, nogil=True, fastmath=ORDERED)
+def close_pairs(features, part, bounds, low, high, box_part, d, done, limit, stack, top, first, second, bound):
+    """Pairs of tracks of different parts with ``done <= bound < limit``, as many as there is room for.
+
+    Args:
+        features: ``(M, F)`` see ``wakefold.spanning``; tracks in box order.
+        part: ``(M,)`` labels.
+        bounds, low, high, box_part: tracks of the leaf boxes, corners ``(B, F)`` and parts of all boxes.
+        d: coordinates of a point.
+        done, limit: squares of lower bounds.
+        stack: ``(n, 2)`` pairs of boxes; ``stack[:top]`` are still to be looked at.
+        first, second, bound: room for the pairs and the squares of their bounds.
+
+    Returns:
+        the new top of the stack, 0 when nothing is left to look at, and the number of pairs written.
+    """
+    leaves = len(bounds) - 1
+    inner = leaves - 1
+    count = 0
+    while top > 0:
+        n, m = stack[top - 1]
+        skip = box_part[n] >= 0 and box_part[n] == box_part[m]
+        if skip or (n != m and gap_squared(low, high, n, m, d, limit) >= limit):
+            top -= 1
+        elif n >= inner and m >= inner:
+            start, stop = bounds[m - inner], bounds[m - inner + 1]
+            if count + (stop - start) * (bounds[n - inner + 1] - bounds[n - inner]) > len(first):
+                return top, count
+            top -= 1
+            for a in range(bounds[n - inner], bounds[n - inner + 1]):
+                for b in range(a + 1 if n == m else start, stop):
+                    if part[a] != part[b]:
+                        square = gap_squared(features, features, a, b, d, limit)
+                        if done <= square < limit:
+                            first[count], second[count], bound[count] = a, b, square
+                            count += 1
+        elif n == m:
+            left, right = 2 * n + 1, 2 * n + 2
+            stack[top - 1, 0], stack[top - 1, 1] = left, left
+            stack[top, 0], stack[top, 1] = left, right
+            stack[top + 1, 0], stack[top + 1, 1] = right, right
+            top += 2
+        else:
+            wide, other = min(n, m), max(n, m)  # a smaller number lies higher, so it is split first
+            stack[top - 1, 0], stack[top - 1, 1] = 2 * wide + 1, other
+            stack[top, 0], stack[top, 1] = 2 * wide + 2, other
+            top += 1
+    return 0, count
