@@ -11,6 +11,7 @@ from scipy.cluster.hierarchy import cophenet, is_valid_linkage, linkage
 from scipy.spatial.distance import squareform
 
 from wakefold import store
+from wakefold.dendrogram import entropy_by_height
 from wakefold.distance import frechet_matrix
 from wakefold.filtration import Filtration
 from wakefold.store import StoreError
@@ -212,7 +213,9 @@ def test_levels_by_number_lose_information_evenly():
         target = np.log(len(tree)) * (6 - k) / 7
         best = min(abs(entropy(tree, b) - target) for b in births[1:-1])
         assert abs(entropy(tree, level) - target) == pytest.approx(best)
-    np.testing.assert_allclose(tree._entropy[1], [entropy(tree, b) for b in tree._entropy[0]], atol=1e-9)
+    heights, entropies = entropy_by_height(tree.hi - tree.lo, tree.birth, tree.parent)
+    np.testing.assert_array_equal(heights, births)
+    np.testing.assert_allclose(entropies, [entropy(tree, b) for b in births], atol=1e-9)
     assert Filtration.fit(LINE).levels(number=50).tolist() == [1.0, 1.5, 2.0]
     with pytest.raises(ValueError, match="number"):
         tree.levels(0)

@@ -1,4 +1,4 @@
-"""Dendrograms as arrays: from merges to the order of the leaves, from the gaps between leaves to classes."""
+"""Dendrograms as arrays: from merges to the order of the leaves, from the gaps between them to classes and levels."""
 
 from __future__ import annotations
 
@@ -112,3 +112,41 @@ def largest_between(maxima: Floats, i: Ints, j: Ints) -> Floats:
     k = np.maximum(np.frexp(j - i)[1] - 1, 0)  # floor of the logarithm to base 2
     last = np.maximum(j - (1 << k), 0)
     return np.where(i < j, np.maximum(maxima[k, np.minimum(i, maxima.shape[1] - 1)], maxima[k, last]), 0.0)
+
+
+def entropy_by_height(size: Ints, birth: Floats, parent: Ints) -> tuple[Floats, Floats]:
+    """Heights at which the partition changes, 0 first, and the entropy of the class of a random track from there on.
+
+    Args:
+        size, birth, parent: ``(C,)`` of each class, numbered as in ``Filtration``.
+    """
+    tracks = int(size[-1])
+    share = size / tracks
+    part = -share * np.log(share)  # what a class adds to the entropy of its level
+    fall = np.bincount(parent[:-1], weights=part[:-1], minlength=len(size)) - part  # at the birth of a merged class
+    heights, group = np.unique(np.append(0.0, birth[tracks:]), return_inverse=True)
+    falls = np.bincount(group, weights=np.append(0.0, fall[tracks:]))
+    return heights, np.log(tracks) - np.cumsum(falls)
+
+
+def levels_by_entropy(size: Ints, birth: Floats, parent: Ints, number: int) -> Floats:
+    """At most ``number`` heights between single tracks and the root, nearest to equal steps of entropy."""
+    heights, entropy = entropy_by_height(size, birth, parent)
+    between = slice(1, -1) if len(heights) > 2 else slice(0, 1)
+    heights, entropy = heights[between], entropy[between]
+    targets = np.log(size[-1]) * np.arange(number, 0, -1) / (number + 1)
+    return np.unique(heights[np.abs(entropy[:, None] - targets).argmin(axis=0)])
+
+
+def levels_by_persistence(birth: Floats, death: Floats, persistence: float) -> Floats:
+    """The fewest births such that each class with ``death - birth >= persistence`` is alive at one of them."""
+    lasting = death - birth >= persistence
+    out: list[float] = []
+    latest, first_death = 0.0, np.inf
+    # By rising birth: a class born after the first death among those waiting cannot share their level.
+    for born, dead in sorted(zip(birth[lasting].tolist(), death[lasting].tolist(), strict=True)):
+        if born >= first_death:
+            out.append(latest)
+            first_death = np.inf
+        latest, first_death = born, min(first_death, dead)
+    return np.array([*out, latest] if lasting.any() else [])

@@ -17,7 +17,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wakefold import store
-from wakefold.dendrogram import classes, largest_between, leaf_order, range_maxima
+from wakefold.dendrogram import (
+    classes,
+    largest_between,
+    leaf_order,
+    levels_by_entropy,
+    levels_by_persistence,
+    range_maxima,
+)
 from wakefold.distance import frechet_matrix
 from wakefold.spanning import spanning_tree
 from wakefold.tracks import Floats, Tracks
@@ -313,47 +320,14 @@ class Filtration:
         if persistence is not None:
             if number is not None:
                 raise ValueError("give a number or a persistence, not both")
-            return self._levels_by_persistence(persistence)
+            if not (persistence >= 0 and np.isfinite(persistence)):
+                raise ValueError(f"persistence must be finite and not negative, got {persistence}")
+            merged = slice(len(self), self.root)
+            return levels_by_persistence(self.birth[merged], self.death[merged], persistence)
         number = 8 if number is None else number
         if number < 1:
             raise ValueError(f"number must be at least 1, got {number}")
-        heights, entropy = self._entropy
-        inner = slice(1, -1) if len(heights) > 2 else slice(0, 1)
-        heights, entropy = heights[inner], entropy[inner]
-        targets = np.log(len(self)) * np.arange(number, 0, -1) / (number + 1)
-        nearest = np.abs(entropy[:, None] - targets).argmin(axis=0)
-        return np.unique(heights[nearest])
-
-    def _levels_by_persistence(self, persistence: float) -> Floats:
-        if not (persistence >= 0 and np.isfinite(persistence)):
-            raise ValueError(f"persistence must be finite and not negative, got {persistence}")
-        inner = np.arange(len(self), self.root)
-        inner = inner[self.death[inner] - self.birth[inner] >= persistence]
-        out: list[float] = []
-        # Fewest points that hit every interval: by rising death, each class not yet hit asks for a point as late as
-        # possible; the latest birth of the classes that point hits is the same point for all of them.
-        latest, first_death = 0.0, np.inf
-        for c in inner[np.argsort(self.birth[inner], kind="stable")]:
-            if self.birth[c] >= first_death:
-                out.append(latest)
-                first_death = np.inf
-            latest, first_death = float(self.birth[c]), min(first_death, float(self.death[c]))
-        return np.array([*out, latest] if len(inner) else out)
-
-    @cached_property
-    def _entropy(self) -> tuple[Floats, Floats]:
-        """Heights at which the partition changes (0 first) and the entropy of the class of a random track there."""
-        size = (self.hi - self.lo).astype(np.float64)
-        part = -size / len(self) * np.log(size / len(self))
-        inner = np.arange(len(self), len(size))
-        merged = inner[self.birth[inner] > 0]
-        drop = np.zeros(len(size))
-        np.add.at(drop, self.parent[: self.root], part[: self.root])
-        drop -= part
-        heights, group = np.unique(self.birth[merged], return_inverse=True)
-        start = np.log(len(self)) - drop[inner[self.birth[inner] == 0]].sum()
-        falls = np.bincount(group, weights=drop[merged], minlength=len(heights))
-        return np.concatenate([[0.0], heights]), np.concatenate([[start], start - np.cumsum(falls)])
+        return levels_by_entropy(self.hi - self.lo, self.birth, self.parent, number)
 
     # Other forms
 
