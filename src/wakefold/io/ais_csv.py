@@ -65,10 +65,10 @@ def read(source: Source, tally: Tally, danish: bool) -> Iterator[Rows]:
     for block in delimited.read(source, layout, wanted, DMA_TIME if danish else None):
         tally.rows += len(block.bad)
         tally.reject("bad line", len(block.bad), block.bad)
-        yield from _rows(block, tally)
+        yield from _rows(block, tally, danish)
 
 
-def _rows(block: delimited.Block, tally: Tally) -> Iterator[Rows]:
+def _rows(block: delimited.Block, tally: Tally, danish: bool) -> Iterator[Rows]:
     n = len(block.lines)
     if not n:
         return
@@ -82,7 +82,9 @@ def _rows(block: delimited.Block, tally: Tally) -> Iterator[Rows]:
         lines=block.lines,
         text=block.text,
         columns=ais.motion(*motion),
-        attributes={name: _attribute(name, block.columns[name]) for name in ATTRIBUTES if name in block.columns},
+        attributes={
+            name: _attribute(name, block.columns[name], danish) for name in ATTRIBUTES if name in block.columns
+        },
     )
     if "mobile" in block.columns:
         fixed = pc.is_in(block.columns["mobile"], FIXED).to_numpy(zero_copy_only=False)
@@ -100,10 +102,9 @@ def _mmsi(values: pa.Array) -> pa.Array:
     return pa.array([str(int(text)) if text.isdecimal() else text for text in texts], pa.string())
 
 
-def _attribute(name: str, values: pa.Array | np.ndarray) -> pa.Array:
-    """Sizes as floats, 0 (not available) as null; type codes as integers; texts without the words for nothing."""
+def _attribute(name: str, values: pa.Array | np.ndarray, danish: bool) -> pa.Array | np.ndarray:
+    """Sizes with 0 (not available) as NaN; type codes as text; texts without the Danish words for nothing."""
     if isinstance(values, np.ndarray):
         known = np.where((values > 0) & (values < 1e6), values, np.nan)
-        array = pa.array(known.astype(np.float64), from_pandas=True)
-        return array.cast(pa.int32(), safe=False) if name == "type" else array
-    return pc.if_else(pc.is_in(values, NOTHING), b"", values)
+        return pa.array(known, from_pandas=True).cast(pa.int32(), safe=False) if name == "type" else known
+    return pc.if_else(pc.is_in(values, NOTHING), b"", values) if danish else values

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from wakefold.io import times
 from wakefold.io.records import as_text, decoded, to_numbers
 from wakefold.io.report import ReadError
-from wakefold.io.source import Source
+from wakefold.io.source import Source, newlines
 
 THREADS = 2
 DELIMITERS = ",;\t|"
@@ -137,7 +137,7 @@ class _Parser:
             self.time_type = times.arrow_type(values, self.time_format)
 
     def __call__(self, first: int, raw: bytes) -> Block:
-        count = raw.count(b"\n") + (not raw.endswith(b"\n"))
+        count = newlines(raw) + (not raw.endswith(b"\n"))
         if self.layout.delimiter != " " and _is_utf8(raw):
             try:
                 table, bad = self._typed(raw)

@@ -182,7 +182,8 @@ def _line(line: int, properties: dict[str, Any], coordinates: list[Any], moments
         geodetic=True,
         lines=np.full(n, line),
         text=lambda row: f"{coordinates[row]} {moments[row] if time is not None and row < len(moments) else ''}",
-        attributes={key: pa.array([value] * n) for key, value in (texts | sizes).items()},
+        attributes={key: pa.array([value] * n) for key, value in texts.items()}
+        | {key: np.full(n, value) for key, value in sizes.items()},
     )
 
 

@@ -33,6 +33,7 @@ LINE = re.compile(rb"([^!\\]*)(\\[^\\]*\\)?\s*(![A-Z]{2}VD[MO],[^*!]*\*[0-9A-F]{
 SENTENCE = re.compile(rb"VD[MO],", re.IGNORECASE)
 ISO = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|[+-]\d\d:?\d\d)?")
 EPOCH = re.compile(r"(?<![\w.])(\d{9,10}(?:\.\d+)?|\d{12,13})(?![\w.])")
+TEXTS = ("name", "callsign", "type", "destination")
 BATCH = 50_000
 OPEN_MESSAGES = 1000
 """Messages of several sentences that may be unfinished at once; a receiver has ten numbers for them."""
@@ -182,11 +183,9 @@ class _Log:
         """What has come together since the last call."""
         if self.static:
             agents = pa.array([known.pop("agent") for known in self.static])
-            kinds = {"length": pa.float64(), "width": pa.float64()}
-            names = ("name", "callsign", "type", "destination", "length", "width")
-            yield Static(
-                agents, {n: pa.array([k.get(n) for k in self.static], kinds.get(n, pa.string())) for n in names}
-            )
+            texts = {n: pa.array([k[n] for k in self.static], pa.string()) for n in TEXTS}
+            sizes = {n: np.array([k[n] or np.nan for k in self.static]) for n in ("length", "width")}
+            yield Static(agents, texts | sizes)
         if self.positions:
             numbers, texts, messages, stamps = zip(*self.positions, strict=True)
 

@@ -36,8 +36,8 @@ class Rows:
         lines: ``(n,)`` line or row numbers in the file, from 1.
         text: the text of a row, for the report.
         columns: per-point values ``(n,)``.
-        attributes: per-row values of what belongs to the agent: text, bytes, integers or floats. The last value of
-            an agent that is not empty is kept.
+        attributes: per-row values of what belongs to the agent: numpy floats are numbers, arrow arrays text. The last
+            value of an agent that is not empty is kept.
     """
 
     agent: str | pa.Array
@@ -47,7 +47,7 @@ class Rows:
     lines: NDArray[np.integer]
     text: Callable[[int], str]
     columns: Mapping[str, NDArray[np.floating]] = field(default_factory=dict)
-    attributes: Mapping[str, pa.Array] = field(default_factory=dict)
+    attributes: Mapping[str, NDArray[np.floating] | pa.Array] = field(default_factory=dict)
 
     def named(self, rows: NDArray[np.integer]) -> Iterator[tuple[int, str]]:
         """Line number and text of some rows, for the report."""
@@ -66,7 +66,7 @@ class Rows:
             lines=self.lines[mask],
             text=lambda row: self.text(int(index[row])),
             columns={name: values[mask] for name, values in self.columns.items()},
-            attributes={name: values.filter(chosen) for name, values in self.attributes.items()},
+            attributes={name: _take(values, index) for name, values in self.attributes.items()},
         )
 
 
@@ -75,55 +75,64 @@ class Static:
     """What is said of agents apart from their positions: names ``(n,)`` and attributes ``(n,)`` as in ``Rows``."""
 
     agent: pa.Array
-    attributes: Mapping[str, pa.Array]
+    attributes: Mapping[str, NDArray[np.floating] | pa.Array]
 
 
 class Latest:
     """The last value of each agent that is not empty, over batches of rows.
 
-    The last values of each batch are put aside, as arrow arrays, and merged when they have become many.
+    The last values of each batch are put aside, and merged when they have become many.
     """
 
     def __init__(self) -> None:
         self._codes: list[NDArray[np.integer]] = []
-        self._values: list[pa.Array] = []
+        self._values: list[NDArray[np.floating] | pa.Array] = []
         self._room = 0
         self._numbers = True
 
-    def add(self, codes: NDArray[np.int32], values: pa.Array, good: NDArray[np.bool_]) -> None:
+    def add(self, codes: NDArray[np.int32], values: NDArray[np.floating] | pa.Array, good: NDArray[np.bool_]) -> None:
         """Take up the values ``(n,)`` of the good rows, whose agents are ``codes``."""
-        self._numbers &= pa.types.is_floating(values.type)
-        if not pa.types.is_floating(values.type):
-            values = values.cast(pa.string() if pa.types.is_integer(values.type) else pa.binary()).cast(pa.binary())
-            known = pc.greater(pc.binary_length(values), 0).fill_null(False)
+        if isinstance(values, np.ndarray):
+            known = ~np.isnan(values)
         else:
-            known = pc.invert(values.is_null(nan_is_null=True))
-        rows = np.flatnonzero(known.to_numpy(zero_copy_only=False) & good)
+            self._numbers = False
+            values = values.cast(pa.binary() if is_text(values) else pa.string()).cast(pa.binary())
+            values = values.fill_null(b"") if values.null_count else values
+            known = np.diff(np.frombuffer(values.buffers()[1], dtype=np.int32)[values.offset :][: len(values) + 1]) > 0
+        rows = np.flatnonzero(known & good)
         if len(rows):
             changed, where = _last(codes[rows])
             self._codes.append(changed)
-            self._values.append(values.take(pa.array(rows[where])))
+            self._values.append(_take(values, rows[where]))
             if sum(map(len, self._codes)) > self._room:
                 self._merge()
                 self._room = max(MERGE, 8 * len(self._codes[0]))
 
     def _merge(self) -> None:
-        if len({values.type for values in self._values}) > 1:  # numbers in one file, texts in another
-            self._values = [values.cast(pa.string()).cast(pa.binary()) for values in self._values]
         changed, where = _last(np.concatenate(self._codes))
-        self._codes = [changed]
-        self._values = [pa.concat_arrays(self._values).take(pa.array(where))]
+        if self._numbers:
+            merged = np.concatenate(self._values)
+        else:
+            merged = pa.concat_arrays([_as_bytes(values) for values in self._values])
+        self._codes, self._values = [changed], [_take(merged, where)]
 
     def of(self, codes: NDArray[np.integer]) -> NDArray[Any]:
-        """``(m,)`` values of agents: float64 with NaN if floats were given, else text with ""."""
+        """``(m,)`` values of agents: float64 with NaN if only numbers were given, else text with ""."""
         known: dict[int, Any] = {}
         if self._codes:
             self._merge()
-            known = dict(zip(self._codes[0].tolist(), self._values[0].to_pylist(), strict=True))
-        found = [known.get(code) for code in codes.tolist()]
+            known = dict(zip(self._codes[0].tolist(), self._values[0].tolist(), strict=True))
         if self._numbers:
-            return np.array([np.nan if value is None else value for value in found], dtype=np.float64)
-        return np.array([as_text(value) for value in found], dtype=np.str_)
+            return np.array([known.get(code, np.nan) for code in codes.tolist()], dtype=np.float64)
+        return np.array([as_text(known.get(code)) for code in codes.tolist()], dtype=np.str_)
+
+
+def _take(values: NDArray[np.floating] | pa.Array, where: NDArray[np.integer]) -> NDArray[np.floating] | pa.Array:
+    return values[where] if isinstance(values, np.ndarray) else values.take(pa.array(where))
+
+
+def _as_bytes(values: NDArray[np.floating] | pa.Array) -> pa.Array:
+    return pa.array(values).cast(pa.string()).cast(pa.binary()) if isinstance(values, np.ndarray) else values
 
 
 def _last(codes: NDArray[np.integer]) -> tuple[NDArray[np.integer], NDArray[np.integer]]:

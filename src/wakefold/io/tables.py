@@ -171,8 +171,8 @@ def _parquet_rows(
 
 def _rows(floats: Mapping[str, Floats], others: Mapping[str, pa.Array], lines: np.ndarray, text) -> Rows:
     geodetic = "lon" in floats
-    attributes = {name: values for name, values in others.items() if name != "track"}
-    attributes |= {name: pa.array(floats[name], from_pandas=True) for name in ("length", "width") if name in floats}
+    attributes: dict[str, pa.Array | Floats] = {name: values for name, values in others.items() if name != "track"}
+    attributes |= {name: floats[name] for name in ("length", "width") if name in floats}
     key = others["track"] if "track" in others else attributes.pop("agent")
     return Rows(
         agent=key,
