@@ -13,7 +13,7 @@ import math
 import numpy as np
 from numba import njit
 
-from wakefold.kernels.neighbours import add_ball, mean_velocity, nearest, nothing, velocity, velocity_at
+from wakefold.kernels.neighbours import add_rows, mean_velocity, near, nearest, nothing, scratch, velocity, velocity_at
 
 LOG, GAUSSIAN, STUDENT = 0, 1, 2
 
@@ -46,12 +46,13 @@ def _same(points, classes, i, j, dims):
 @njit(cache=True, nogil=True)
 def drifts(points, classes, lo, hi, field, reach2, floor2, out, dims):
     """Localised velocity at each of the points (n, d) under its own class, into ``out`` (n, d)."""
+    lists = scratch(field)
     for i in range(len(points)):
         if i > 0 and _same(points, classes, i, i - 1, dims):
             for k in range(len(dims)):
                 out[i, k] = out[i - 1, k]
         else:
-            velocity(points[i], lo[classes[i]], hi[classes[i]], field, reach2, floor2, out[i], dims)
+            velocity(points[i], lo[classes[i]], hi[classes[i]], field, reach2, floor2, out[i], lists, dims)
 
 
 @njit(cache=True, nogil=True)
@@ -60,13 +61,15 @@ def nested_drifts(
 ):
     """Localised velocity of each base particle under its leaf and under every ancestor in use, by one walk outwards.
 
-    The classes above a leaf are nested intervals of ranks. Going outwards, each one adds two ranges of blocks to the
-    sums of the one inside it, so every neighbour is looked at once and serves all the classes that hold it.
-    ``base_out`` (N, d) is the leaves'; ``copy_out`` (S, d) the ancestors', grouped by node as ``start`` tells.
+    The classes above a leaf are nested intervals of ranks. The rows near a particle are looked up once, for the
+    outermost; going outwards, each class adds two ranges of that list to the sums of the one inside it, so every
+    neighbour is looked at once and serves all the classes that hold it. ``base_out`` (N, d) is the leaves';
+    ``copy_out`` (S, d) the ancestors', grouped by node as ``start`` tells.
     """
     d = len(dims)
     cursor = start[:-1].copy()
     drift = np.empty(d)
+    lists = scratch(field)
     for i in range(len(points)):
         node = leaf_of[i]
         if i > 0 and _same(points, classes, i, i - 1, dims):
@@ -81,18 +84,29 @@ def nested_drifts(
                 node = parent[node]
             continue
         q = points[i]
+        top = node
+        while parent[top] >= 0:
+            top = parent[top]
+        side, count = near(q, field.leaf_at[lo[nodes[top]]], field.leaf_at[hi[nodes[top]]], field, reach2, lists, dims)
+        rows = lists[side]
         sums = nothing(dims)
         best2, best = np.inf, 0  # nearest point so far; wanted only while the ball is empty
         first = last = field.leaf_at[lo[nodes[node]]]
+        left = right = np.searchsorted(rows[:count], first)  # the rows near q that are summed: rows[left:right]
         while node >= 0:
             outer_first, outer_last = field.leaf_at[lo[nodes[node]]], field.leaf_at[hi[nodes[node]]]
-            sums = add_ball(q, outer_first, first, field, reach2, floor2, sums, dims)
-            sums = add_ball(q, last, outer_last, field, reach2, floor2, sums, dims)
+            outer_left, outer_right = left, right
+            while outer_left > 0 and rows[outer_left - 1] >= outer_first:
+                outer_left -= 1
+            while outer_right < count and rows[outer_right] < outer_last:
+                outer_right += 1
+            sums = add_rows(q, rows, outer_left, left, field, reach2, floor2, sums, dims)
+            sums = add_rows(q, rows, right, outer_right, field, reach2, floor2, sums, dims)
             if not mean_velocity(sums, drift, dims):
                 best2, best = nearest(q, outer_first, first, field, best2, best, dims)
                 best2, best = nearest(q, last, outer_last, field, best2, best, dims)
                 velocity_at(field, best, drift, dims)
-            first, last = outer_first, outer_last
+            first, last, left, right = outer_first, outer_last, outer_left, outer_right
             if node == leaf_of[i]:
                 for k in range(d):
                     base_out[i, k] = drift[k]
