@@ -237,3 +237,43 @@ def mhpf_step(tree, field, belief, evidence, used, rule, family, draws, h, dof, 
 def masses(tree, base):
     leaves = {t: sum(x[2] for x in base if x[1] == t) for t in range(len(tree))}
     return {c: sum(leaves[t] for t in tree.members(c).tolist()) for c in range(len(tree.birth))}
+
+
+# Reading ------------------------------------------------------------------------------------------------------------
+
+
+def clean_rows(rows, max_speed):
+    """The rules of docs/reading.md on rows ``(agent, time, x, y)`` in the order of a file.
+
+    Returns:
+        Tracks in order of appearance of their agents, each a list of rows in order of time; how many rows were
+        duplicates, at the same time elsewhere, and jumps.
+    """
+    counts = {"duplicate": 0, "same time": 0, "jump": 0}
+    tracks = {}
+    for row in rows:
+        tracks.setdefault(row[0], []).append(row)
+    for agent, track in tracks.items():
+        kept = []
+        for row in sorted(track, key=lambda r: r[1]):
+            if kept and kept[-1][1] == row[1]:
+                counts["duplicate" if kept[-1][2:] == row[2:] else "same time"] += 1
+            else:
+                kept.append(row)
+        tracks[agent] = [row for i, row in enumerate(kept) if not is_jump(kept, i, max_speed)]
+        counts["jump"] += len(kept) - len(tracks[agent])
+    return {agent: track for agent, track in tracks.items() if track}, counts
+
+
+def is_jump(track, i, max_speed):
+    def fast(a, b):
+        return math.dist(track[a][2:], track[b][2:]) > max_speed * (track[b][1] - track[a][1])
+
+    last = len(track) - 1
+    if last < 2:
+        return False
+    if i == 0:
+        return fast(0, 1) and not fast(1, 2)
+    if i == last:
+        return fast(last - 1, last) and not fast(last - 2, last - 1)
+    return fast(i - 1, i) and fast(i, i + 1)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import zipfile
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -130,6 +131,11 @@ def test_formats_accepted_are_named(tmp_path):
         read(tmp_path, b"hello")
     assert all(name in str(caught.value) for name in FORMATS.values())
     assert "\n" not in str(caught.value)
+
+
+def test_formats_accepted_are_documented():
+    text = (Path(__file__).parents[1] / "docs" / "reading.md").read_text()
+    assert all(f"| `{key}` |" in text for key in FORMATS)
 
 
 def test_names_do_not_matter(tmp_path):
