@@ -226,7 +226,7 @@ class _Parser:
             values = chunked.chunk(0) if chunked.num_chunks == 1 else pa.concat_arrays(chunked.chunks)
             lenient = pa.types.is_binary(values.type)
             if kind == "time" and lenient:
-                columns[name] = times.from_text(values.to_pylist(), self.time_format)
+                columns[name] = times.from_text(values, self.time_format)
             elif kind == "time":
                 columns[name] = times.from_arrow(values, self.time_format)
             elif kind in ("float", "float32"):

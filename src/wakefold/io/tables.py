@@ -151,9 +151,7 @@ def _parquet_rows(
         if pa.types.is_dictionary(values.type):
             values = values.dictionary_decode()
         if ours == "time":
-            floats[ours] = (
-                times.from_text(values.to_pylist(), form) if is_text(values) else times.from_arrow(values, form)
-            )
+            floats[ours] = times.from_text(values, form) if is_text(values) else times.from_arrow(values, form)
         elif ours in FLOATS:
             values = to_numbers(values, pa.float64()) if is_text(values) else values.cast(pa.float64(), safe=False)
             floats[ours] = values.to_numpy(zero_copy_only=False)

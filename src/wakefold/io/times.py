@@ -4,15 +4,19 @@ A ``time_format`` is None (ISO 8601 text, or numbers that are seconds), one of t
 numbers, or a strptime format such as ``%d/%m/%Y %H:%M:%S``. Times without an offset are UTC.
 """
 
+# pyright: reportAttributeAccessIssue=false
+# (pyarrow.compute makes its functions when it is imported)
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv
 from numpy.typing import NDArray
 
@@ -23,6 +27,7 @@ Floats = NDArray[np.float64]
 PER_SECOND = {"s": 1, "ms": 1000, "us": 10**6, "ns": 10**9}
 """Units of numeric times."""
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
+PLAIN = r"^\d{4}-\d\d-\d\d[T ][0-2]\d:[0-5]\d:[0-5]\d(\.\d{1,6})?$"
 _OFFSET = re.compile(r"\d(Z|[+-]\d\d:?\d\d)$")
 
 
@@ -62,15 +67,21 @@ def _scaled(values: pa.Array, per_second: int) -> Floats:
     return values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False) / per_second
 
 
-def from_text(values: Sequence[Any], time_format: str | None) -> Floats:
-    """``(n,)`` seconds of texts; NaN for those that are no time."""
+def from_text(values: pa.Array, time_format: str | None) -> Floats:
+    """``(n,)`` seconds of texts or bytes; NaN for those that are no time."""
+    one_by_one = partial(formatted, time_format=time_format) if time_format else parse
+    seconds, rest = np.full(len(values), np.nan), np.arange(len(values))
     if time_format is None:
-        try:  # all of them ISO 8601 without an offset
-            return from_arrow(pa.array(values).cast(pa.string()).cast(pa.timestamp("us")), None)
-        except (pa.ArrowInvalid, pa.ArrowTypeError, UnicodeDecodeError):
+        values = values.cast(pa.binary())
+        plain = pc.match_substring_regex(values, PLAIN).fill_null(False)
+        try:  # nearly all texts are like this, and are converted at once
+            seconds = from_arrow(pc.if_else(plain, values, None).cast(pa.string()).cast(pa.timestamp("us")), None)
+            rest = np.flatnonzero(~plain.to_numpy(zero_copy_only=False))
+        except pa.ArrowInvalid:  # a day that is none, such as 31 February
             pass
-    texts = [as_text(value) for value in values]
-    return np.array([parse(text) if time_format is None else formatted(text, time_format) for text in texts])
+    seconds = seconds.copy()
+    seconds[rest] = [one_by_one(as_text(value)) for value in values.take(pa.array(rest)).to_pylist()]
+    return seconds
 
 
 def parse(value: Any) -> float:

@@ -83,7 +83,7 @@ def _trajectory(number: int, text: str) -> tuple[Rows | None, bool]:
     }
     rows = Rows(
         agent=name,
-        time=times.from_text(column(has_id), None),
+        time=times.from_text(pa.array(column(has_id), pa.string()), None),
         position=[np.array([times.number(cell) for cell in column(has_id + 1 + i)]) for i in range(dim)],
         geodetic=domain in ("terrestrial", "generic") and dim == 2,
         lines=np.full(count, number),
