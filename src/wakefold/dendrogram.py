@@ -18,37 +18,41 @@ def leaf_order(edges: Ints, heights: Floats) -> tuple[Ints, Floats]:
         edges: ``(M - 1, 2)`` a track of each of the two clusters merged.
         heights: ``(M - 1,)`` rising.
 
-    Clusters are linked lists of tracks. All merges of one height are done together and the clusters they join stand
-    in the order of their first tracks, so the order depends on the classes alone, not on which of several minimum
-    spanning trees the edges come from.
+    A cluster is a linked list of tracks that begins with its smallest track, which also stands for it. The clusters
+    joined at one height are chained by rising smallest track, so the order depends on the classes alone, not on which
+    of several minimum spanning trees the edges come from.
     """
     tracks = len(edges) + 1
-    root, first, tail = list(range(tracks)), list(range(tracks)), list(range(tracks))
-    head, after, above = list(range(tracks)), [-1] * tracks, [0.0] * tracks
+    root, tail, after, above = list(range(tracks)), list(range(tracks)), [-1] * tracks, [0.0] * tracks
 
     def find(x: int) -> int:
         while root[x] != x:
             root[x] = x = root[root[x]]
         return x
 
+    def chain(cluster: int, other: int, height: float) -> None:
+        after[tail[cluster]], above[tail[cluster]] = other, height
+        root[other], tail[cluster] = cluster, tail[other]
+
     bounds = np.concatenate([[0], np.flatnonzero(np.diff(heights)) + 1, [len(heights)]]).tolist()
-    pairs, level = edges.tolist(), heights.tolist()
+    pairs, levels = edges.tolist(), heights.tolist()
     for start, stop in pairwise(bounds):
-        parts = {find(x) for pair in pairs[start:stop] for x in pair}
+        if stop == start + 1:
+            cluster, other = sorted(map(find, pairs[start]))
+            chain(cluster, other, levels[start])
+            continue
+        clusters = sorted({find(x) for pair in pairs[start:stop] for x in pair})
         for a, b in pairs[start:stop]:
             root[find(a)] = find(b)
-        whole: dict[int, int] = {}
-        for part in sorted(parts, key=first.__getitem__):
-            top = find(part)
-            if top in whole:
-                after[tail[whole[top]]] = head[part]
-                above[tail[whole[top]]] = level[start]
-                tail[whole[top]] = tail[part]
+        smallest: dict[int, int] = {}
+        for cluster, whole in [(cluster, find(cluster)) for cluster in clusters]:
+            if whole in smallest:
+                chain(smallest[whole], cluster, levels[start])
             else:
-                whole[top] = part
-        for top, part in whole.items():
-            head[top], tail[top], first[top] = head[part], tail[part], first[part]
-    order = [head[find(0)]]
+                smallest[whole] = cluster
+        for cluster in smallest.values():
+            root[cluster] = cluster
+    order = [0]
     while after[order[-1]] >= 0:
         order.append(after[order[-1]])
     ranked = np.array(order, dtype=np.int64)
@@ -56,44 +60,34 @@ def leaf_order(edges: Ints, heights: Floats) -> tuple[Ints, Floats]:
 
 
 def classes(order: Ints, rank: Ints, gaps: Floats) -> dict[str, NDArray]:
-    """Intervals, heights and parents of all classes from the gaps between ranks, in one pass with a stack."""
+    """``lo, hi, birth, death, parent`` of all classes, numbered as in ``Filtration``, in one pass over the gaps."""
     tracks = len(order)
-    lo, hi, birth = [], [], []
-    stack: list[tuple[int, float]] = []  # open classes, (lo, birth), births falling
-    for r, gap in enumerate(gaps.tolist()):
-        start = r
-        while stack and stack[-1][1] < gap:
-            start, height = stack.pop()
-            lo.append(start)
-            hi.append(r + 1)
-            birth.append(height)
-        if not (stack and stack[-1][1] == gap):
-            stack.append((start, gap))
-    for start, height in reversed(stack):
-        lo.append(start)
-        hi.append(tracks)
-        birth.append(height)
-    inner = np.lexsort((np.array(lo, dtype=np.int64), np.array(birth)))
-    out_lo = np.concatenate([rank, np.array(lo, dtype=np.int64)[inner]])
-    out_hi = np.concatenate([rank + 1, np.array(hi, dtype=np.int64)[inner]])
-    out_birth = np.concatenate([np.zeros(tracks), np.array(birth)[inner]])
-    parent = _parents(out_lo, out_hi)
-    death = np.where(parent >= 0, out_birth[parent], np.inf)
-    return {"lo": out_lo, "hi": out_hi, "birth": out_birth, "death": death, "parent": parent}
-
-
-def _parents(lo: Ints, hi: Ints) -> Ints:
-    """The smallest interval around each of a family of nested, distinct intervals; -1 for the outermost."""
-    parent = [-1] * len(lo)
+    # Nodes: the leaves by rank, then merged classes as they are met. The stack holds those still open, births falling.
+    lo, birth, parent, hi = list(range(tracks)), [0.0] * tracks, [-1] * tracks, list(range(1, tracks + 1))
     stack: list[int] = []
-    ends = hi.tolist()
-    for c in np.lexsort((-hi, lo)).tolist():
-        while stack and ends[stack[-1]] < ends[c]:
-            stack.pop()
-        if stack:
-            parent[c] = stack[-1]
-        stack.append(c)
-    return np.array(parent, dtype=np.int64)
+    for r, gap in enumerate([*gaps.tolist(), np.inf]):
+        node = r
+        while stack and birth[stack[-1]] < gap:
+            child, node = node, stack.pop()
+            parent[child], hi[node] = node, r + 1
+        if r == tracks - 1:
+            break
+        if not (stack and birth[stack[-1]] == gap):
+            stack.append(len(lo))
+            lo.append(lo[node])
+            hi.append(0)
+            birth.append(gap)
+            parent.append(-1)
+        parent[node] = stack[-1]
+    low, high, born, above = np.array(lo), np.array(hi), np.array(birth), np.array(parent, dtype=np.int64)
+    node_of = np.concatenate([rank, tracks + np.lexsort((low[tracks:], born[tracks:]))])
+    class_of = np.empty(len(node_of), dtype=np.int64)
+    class_of[node_of] = np.arange(len(node_of))
+    above = above[node_of]
+    parents = np.where(above >= 0, class_of[above], -1)
+    births = born[node_of]
+    deaths = np.where(parents >= 0, births[parents], np.inf)
+    return {"lo": low[node_of], "hi": high[node_of], "birth": births, "death": deaths, "parent": parents}
 
 
 def range_maxima(gaps: Floats) -> Floats:

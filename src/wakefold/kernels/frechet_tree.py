@@ -44,7 +44,9 @@ def track_features(points, offsets, middle, scale, directions, landmarks, first,
                 for k in range(d):
                     square += (at[k] - landmarks[z, k]) ** 2
                 f = 2 * d + 2 * directed + z
-                out[track, f] = min(out[track, f], np.sqrt(square))
+                out[track, f] = min(out[track, f], square)
+        for f in range(2 * d + 2 * directed, out.shape[1]):
+            out[track, f] = np.sqrt(out[track, f])
 
 
 @njit(cache=True, nogil=True)
