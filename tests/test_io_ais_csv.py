@@ -109,6 +109,7 @@ def test_danish(tmp_path):
         (old()[:30], "bad line"),
         (old() + ",1", "bad line"),
         (old().replace("SAMUEL", '"SAMUEL'), "bad line"),
+        (old().replace("246,SAMUEL", '24" 6,"SAMUEL'), "bad line"),
     ],
 )
 def test_one_bad_line_costs_itself_only(tmp_path, line, reason):

@@ -150,7 +150,23 @@ def test_random_bytes_behind_magic(tmp_path, data):
 
 CELLS = st.one_of(
     st.sampled_from(
-        ["", "1", "2", "40.5", "-74", "91", "2020-06-30T00:00:00", "2020-06-30T00:00:01", "x", '"', '"a,b"', "NaN"]
+        [
+            "",
+            "1",
+            "2",
+            "40.5",
+            "-74",
+            "91",
+            "2020-06-30T00:00:00",
+            "2020-06-30T00:00:01",
+            "x",
+            '"',
+            '"a,b"',
+            "NaN",
+            '5" x',
+            '"a""',
+            '"a"b',
+        ]
     ),
     st.floats().map(repr),
     st.text(st.characters(codec="latin-1"), max_size=5),

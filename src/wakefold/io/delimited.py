@@ -8,6 +8,7 @@ are converted one by one, so that one bad line costs itself only.
 from __future__ import annotations
 
 import csv
+import re
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -191,16 +192,16 @@ class _Parser:
     def _cleaned(self, first: int, raw: bytes) -> tuple[bytes, NDArray[np.int64], list[tuple[int, str]]]:
         """The lines that can be records, joined, with their numbers; and those with a quote left open."""
         lines, numbers, broken = [], [], []
-        delimiter = self.layout.delimiter.encode()
+        whole = _closed("," if self.layout.delimiter == " " else self.layout.delimiter)
         for number, line in enumerate(raw.split(b"\n"), first):
             line = line.rstrip(b"\r").replace(b"\r", b" ")
             if not line.strip():
                 continue
             if not line.isascii():
                 line = decoded(line).encode()
-            if delimiter == b" ":
+            if self.layout.delimiter == " ":
                 line = b",".join(line.replace(b",", b" ").split())
-            if line.count(b'"') % 2 and (line.startswith(b'"') or delimiter + b'"' in line):
+            if b'"' in line and not whole.fullmatch(line):
                 broken.append((number, as_text(line)))
             else:
                 lines.append(line)
@@ -240,6 +241,13 @@ class _Parser:
             broken = [*broken, *((int(numbers[i]), as_text(text[numbers[i] - first])) for i in bad)]
             lines = np.delete(numbers, bad)
         return Block(columns, lines, sorted(broken), raw, first)
+
+
+def _closed(delimiter: str) -> re.Pattern[bytes]:
+    """Lines that end outside quotes, as pyarrow reads them: a quote counts at the beginning of a field only."""
+    d = re.escape(delimiter)
+    field = rf'(?:"(?:[^"]|"")*+"[^{d}]*+|[^"{d}][^{d}]*+|)'
+    return re.compile(f"{field}(?:{d}{field})*+".encode())
 
 
 def _is_utf8(raw: bytes) -> bool:
