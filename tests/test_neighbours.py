@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wakefold.kernels.neighbours import SLACK, WIDTH, departures, field, near, scratch
-from wakefold.kernels.particles import drifts
+from wakefold.kernels.boxes import SLACK, WIDTH, field, near, scratch
+from wakefold.kernels.motion import drifts
+from wakefold.kernels.neighbours import departures
 
 FLOOR = 1e-7
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
     from wakefold.filtration import Filtration
-    from wakefold.kernels.neighbours import Field
+    from wakefold.kernels.boxes import Field
     from wakefold.tracks import Tracks
 
 Noise = Literal["gaussian", "uniform"]
@@ -128,7 +128,7 @@ class Dynamics:
     @cached_property
     def field(self) -> Field:
         """Points, velocities and the boxes over them, as the kernels take them."""
-        from wakefold.kernels.neighbours import field
+        from wakefold.kernels.boxes import field
 
         return field(self.points, self.velocities, self.starts)
 
@@ -149,7 +149,7 @@ class Dynamics:
 
     def velocity(self, points: ArrayLike, classes: ArrayLike) -> NDArray[np.float64]:
         """Localised velocity at ``points`` (n, d) of the ``classes`` (n,) or one class, ``(n, d)`` m/s."""
-        from wakefold.kernels.particles import drifts
+        from wakefold.kernels.motion import drifts
 
         at = np.ascontiguousarray(np.atleast_2d(np.asarray(points, dtype=np.float64)))
         chosen = np.ascontiguousarray(np.broadcast_to(np.asarray(classes, dtype=np.int64), (len(at),)))

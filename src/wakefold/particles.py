@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from wakefold.belief import Belief
 from wakefold.evidence import CoarseClass, Family, Fix, alive_classes, coarse_log_g
+from wakefold.kernels import motion, random
 from wakefold.kernels import particles as kernel
-from wakefold.kernels import random
 
 if TYPE_CHECKING:
     from wakefold.model import Model
@@ -100,15 +100,19 @@ def resample(log_weights: Floats, u: Floats, scheme: Resampling) -> Ints:
             extra = _pick(np.log(np.maximum(weights - sure, 0.0)), np.sort(u[:rest]))
         return np.sort(np.concatenate([kept, extra]))
     if scheme == "multinomial":
-        positions = np.sort(u)
-    else:  # one uniform for all strata, or one for each
-        positions = (np.arange(count) + u) / count
-    return _pick(log_weights, positions)
+        return _pick(log_weights, np.sort(u))
+    return _pick_strata(log_weights, u, count)
 
 
 def _pick(log_weights: Floats, positions: Floats) -> Ints:
     out = np.empty(len(positions), dtype=np.int64)
     kernel.pick(log_weights, positions, out)
+    return out
+
+
+def _pick_strata(log_weights: Floats, u: Floats, count: int) -> Ints:
+    out = np.empty(count, dtype=np.int64)
+    kernel.pick_strata(log_weights, u, out)
     return out
 
 
@@ -195,7 +199,7 @@ class ParticleFilter:
         key = agent_key(self.seed, agent)
         u = _draw(random.uniforms, key, 0, START, (2, self.particles))
         if fix is not None:
-            points, classes = self._points_near(fix, np.zeros(len(tracks)), u[0])
+            points, classes = self._points_near(fix, np.zeros(len(tracks)), u[0, :1])
         else:
             classes = (u[0] * len(tracks)).astype(np.int64)
             share = u[1] if at == "any" else np.zeros(self.particles)
@@ -245,10 +249,8 @@ class ParticleFilter:
         changed = round(self.depletion * count) if self.single else 0
         u = _draw(random.uniforms, belief.key, belief.step + 1, OPEN, (first + 1 + changed,))
         kept = resample(belief.log_weights, u[:first], self.resampling)
-        points, classes = belief.points[kept], belief.classes[kept]
-        if changed:
-            where = ((np.arange(changed) + u[first]) * (count / changed)).astype(np.int64)
-            classes[where] = (u[first + 1 :] * len(self.model.tracks)).astype(np.int64)
+        leaves = len(self.model.tracks)
+        points, classes = kernel.reopen(belief.points, belief.classes, kept, u[first:], changed, leaves)
         return points, classes, self._even.copy()
 
     # Step 2: motion
@@ -276,10 +278,7 @@ class ParticleFilter:
     def _move(self, points: Floats, classes: Ints, noise: Floats, h: float) -> None:
         """Move particles under their own classes through the sub-steps of ``noise`` (sub-steps, n, d), in place."""
         d = self.model.dynamics
-        drift = np.empty_like(points)
-        for part in noise:
-            kernel.drifts(points, classes, d.lo, d.hi, d.field, *d.reach, drift, d.dims)
-            points += h * drift + part
+        motion.move(points, classes, d.lo, d.hi, d.field, *d.reach, noise, h, d.dims)
 
     # Step 4: a fix, and what to do when every weight is zero
 
@@ -318,7 +317,7 @@ class ParticleFilter:
         above = alive_classes(tree, np.arange(len(tree)), level)
         log_g = coarse_log_g(tree, item, level, above, self.likelihood, self.model.dynamics.diagonal)
         u = _draw(random.uniforms, belief.key, belief.step + 1, RECOVER, (1,))
-        return _pick(log_g, self._strata(u[0]))
+        return _pick_strata(log_g, u, self.particles)
 
     def _points_near(self, fix: Fix, log_mass: Floats, u: Floats) -> tuple[Floats, Ints]:
         """Training points drawn in proportion to exp(log mass of their track) times the likelihood; their tracks."""
@@ -328,11 +327,8 @@ class ParticleFilter:
         log_weights = log_g + log_mass[owner]
         if log_weights.max() == -math.inf:  # too far for the arithmetic: the fix cannot tell the points apart
             log_weights = log_mass[owner]
-        rows = _pick(log_weights, self._strata(u[0]))
+        rows = _pick_strata(log_weights, u, self.particles)
         return tracks.points[rows], owner[rows]
-
-    def _strata(self, u: float) -> Floats:
-        return (np.arange(self.particles) + u) / self.particles
 
 
 def _along(tracks: Tracks, chosen: Ints, share: Floats) -> Floats:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from wakefold.belief import Belief, Stack
 from wakefold.evidence import CoarseClass, Evidence, Fix, coarse_log_g, in_order
+from wakefold.kernels import motion
 from wakefold.kernels import particles as kernel
 from wakefold.model import Model
 from wakefold.particles import COPIES, NOISE, Floats, Ints, ParticleFilter, elapsed
@@ -147,7 +148,7 @@ class _Sets:
         self.base_mass = kernel.node_masses(logs, self.leaf_of, self.parent)
         self.mass = self.base_mass.copy()
         self.factors = np.zeros(len(self.nodes))
-        self.copied = logs[self.copy_of]
+        self.copied = logs.copy()  # the weights that the copies were made with
         self.copies = np.empty((0, 0)) if points is None else points[self.copy_of]
 
     def move(self, belief: Belief, points: Floats, classes: Ints, dt: float) -> None:
@@ -155,14 +156,12 @@ class _Sets:
         f, d = self.filter, self.filter.model.dynamics
         noise, h = f._noise(belief, NOISE, len(points), dt)
         copy_noise, _ = f._noise(belief, COPIES, len(self.copy_of), dt)
-        self.copies = points[self.copy_of]
         if not len(noise):
+            self.copies = points[self.copy_of]
             return
-        drift, copy_drift = np.empty_like(points), np.empty_like(self.copies)
+        self.copies = np.empty((len(self.copy_of), d.dim))
         tree = (self.leaf_of, self.nodes, self.parent, self.start, d.lo, d.hi)
-        kernel.nested_drifts(points, classes, *tree, d.field, *d.reach, drift, copy_drift, d.dims)
-        points += h * drift + noise[0]
-        self.copies += h * copy_drift + copy_noise[0]
+        motion.move_nested(points, *tree, d.field, *d.reach, noise[0], copy_noise[0], h, self.copies, d.dims)
         if len(noise) > 1:  # from the second sub-step on every copy is somewhere else
             f._move(points, classes, noise[1:], h)
             f._move(self.copies, np.repeat(self.nodes, np.diff(self.start)), copy_noise[1:], h)
@@ -186,5 +185,5 @@ class _Sets:
         """The sets as they are after the evidence; None when there are none but the base set."""
         if not len(self.copies):
             return None
-        logs = self.copied + np.repeat(self.factors, np.diff(self.start))
+        logs = kernel.copy_log_weights(self.copied, self.copy_of, self.start, self.factors)
         return Stack(self.nodes, self.start, self.copies, logs)

@@ -1,19 +1,14 @@
-"""Resampling, motion and weights of particles, and class masses over the part of the tree that holds particles.
+"""Resampling and weights of particles, and class masses over the part of the tree that holds particles.
 
 Notation as in docs/algorithm.md. N particles, d coordinates, A nodes (the classes in use with a particle below them,
 children before parents: leaves first, then inner classes by rising birth), S copies (particles of coarse sets, grouped
 by node).
 """
 
-# pyright: reportCallIssue=false
-# (numba gives an intrinsic its typing context: it is called with one argument less than it is defined with)
-
 import math
 
 import numpy as np
 from numba import njit
-
-from wakefold.kernels.neighbours import add_rows, mean_velocity, near, nearest, nothing, scratch, velocity, velocity_at
 
 LOG, GAUSSIAN, STUDENT = 0, 1, 2
 
@@ -35,87 +30,31 @@ def pick(log_weights, positions, out):
 
 
 @njit(cache=True, nogil=True)
-def _same(points, classes, i, j, dims):
-    """Whether particles i and j have one class and one position: resampling leaves runs of such twins."""
-    same = classes[i] == classes[j]
-    for k in range(len(dims)):
-        same &= points[i, k] == points[j, k]
-    return same
+def pick_strata(log_weights, u, out):
+    """``pick`` at one position in each of len(out) equal strata; ``u`` is one uniform for all, or one for each."""
+    count = len(out)
+    positions = np.empty(count)
+    for n in range(count):
+        positions[n] = (n + u[n % len(u)]) / count
+    pick(log_weights, positions, out)
 
 
 @njit(cache=True, nogil=True)
-def drifts(points, classes, lo, hi, field, reach2, floor2, out, dims):
-    """Localised velocity at each of the points (n, d) under its own class, into ``out`` (n, d)."""
-    lists = scratch(field)
-    for i in range(len(points)):
-        if i > 0 and _same(points, classes, i, i - 1, dims):
-            for k in range(len(dims)):
-                out[i, k] = out[i - 1, k]
-        else:
-            velocity(points[i], lo[classes[i]], hi[classes[i]], field, reach2, floor2, out[i], lists, dims)
+def reopen(points, classes, kept, u, changed, leaves):
+    """The kept particles, ``changed`` of them, evenly spread, with a class drawn uniformly from the leaves.
 
-
-@njit(cache=True, nogil=True)
-def nested_drifts(
-    points, classes, leaf_of, nodes, parent, start, lo, hi, field, reach2, floor2, base_out, copy_out, dims
-):
-    """Localised velocity of each base particle under its leaf and under every ancestor in use, by one walk outwards.
-
-    The classes above a leaf are nested intervals of ranks. The rows near a particle are looked up once, for the
-    outermost; going outwards, each class adds two ranges of that list to the sums of the one inside it, so every
-    neighbour is looked at once and serves all the classes that hold it. ``base_out`` (N, d) is the leaves';
-    ``copy_out`` (S, d) the ancestors', grouped by node as ``start`` tells.
+    Args:
+        u: (1 + changed,) uniforms: where the changed ones lie, and their classes.
     """
-    d = len(dims)
-    cursor = start[:-1].copy()
-    drift = np.empty(d)
-    lists = scratch(field)
-    for i in range(len(points)):
-        node = leaf_of[i]
-        if i > 0 and _same(points, classes, i, i - 1, dims):
-            for k in range(d):
-                base_out[i, k] = base_out[i - 1, k]
-            node = parent[node]
-            while node >= 0:
-                s = cursor[node]
-                cursor[node] += 1
-                for k in range(d):
-                    copy_out[s, k] = copy_out[s - 1, k]
-                node = parent[node]
-            continue
-        q = points[i]
-        top = node
-        while parent[top] >= 0:
-            top = parent[top]
-        side, count = near(q, field.leaf_at[lo[nodes[top]]], field.leaf_at[hi[nodes[top]]], field, reach2, lists, dims)
-        rows = lists[side]
-        sums = nothing(dims)
-        best2, best = np.inf, 0  # nearest point so far; wanted only while the ball is empty
-        first = last = field.leaf_at[lo[nodes[node]]]
-        left = right = np.searchsorted(rows[:count], first)  # the rows near q that are summed: rows[left:right]
-        while node >= 0:
-            outer_first, outer_last = field.leaf_at[lo[nodes[node]]], field.leaf_at[hi[nodes[node]]]
-            outer_left, outer_right = left, right
-            while outer_left > 0 and rows[outer_left - 1] >= outer_first:
-                outer_left -= 1
-            while outer_right < count and rows[outer_right] < outer_last:
-                outer_right += 1
-            sums = add_rows(q, rows, outer_left, left, field, reach2, floor2, sums, dims)
-            sums = add_rows(q, rows, right, outer_right, field, reach2, floor2, sums, dims)
-            if not mean_velocity(sums, drift, dims):
-                best2, best = nearest(q, outer_first, first, field, best2, best, dims)
-                best2, best = nearest(q, last, outer_last, field, best2, best, dims)
-                velocity_at(field, best, drift, dims)
-            first, last, left, right = outer_first, outer_last, outer_left, outer_right
-            if node == leaf_of[i]:
-                for k in range(d):
-                    base_out[i, k] = drift[k]
-            else:
-                s = cursor[node]
-                cursor[node] += 1
-                for k in range(d):
-                    copy_out[s, k] = drift[k]
-            node = parent[node]
+    count, d = len(kept), points.shape[1]
+    new_points, new_classes = np.empty((count, d)), np.empty(count, dtype=np.int64)
+    for i in range(count):
+        for k in range(d):
+            new_points[i, k] = points[kept[i], k]
+        new_classes[i] = classes[kept[i]]
+    for i in range(changed):
+        new_classes[int((i + u[0]) * (count / changed))] = int(u[1 + i] * leaves)
+    return new_points, new_classes
 
 
 @njit(cache=True, nogil=True)
@@ -217,6 +156,16 @@ def log_sum(log_weights):
     for i in range(len(log_weights)):
         total += math.exp(log_weights[i] - peak)
     return peak + math.log(total)
+
+
+@njit(cache=True, nogil=True)
+def copy_log_weights(log_weights, copy_of, start, factors):
+    """(S,) log-weights of the copies: those of the base particles they were made from times their node's factor."""
+    out = np.empty(len(copy_of))
+    for a in range(len(factors)):
+        for s in range(start[a], start[a + 1]):
+            out[s] = log_weights[copy_of[s]] + factors[a]
+    return out
 
 
 @njit(cache=True, nogil=True)

@@ -1,0 +1,107 @@
+"""Motion of particles under the dynamics of their classes; notation as in kernels/particles.py."""
+
+# pyright: reportCallIssue=false
+# (numba gives an intrinsic its typing context: it is called with one argument less than it is defined with)
+
+import numpy as np
+from numba import njit
+
+from wakefold.kernels.boxes import near, nearest, scratch
+from wakefold.kernels.neighbours import add_rows, mean_velocity, nothing, velocity, velocity_at
+
+
+@njit(cache=True, nogil=True)
+def drifts(points, classes, lo, hi, field, reach2, floor2, out, dims):
+    """Localised velocity at each of the points (n, d) under its own class, into ``out`` (n, d)."""
+    lists = scratch(field)
+    for i in range(len(points)):
+        twin = i > 0 and classes[i] == classes[i - 1]  # resampling leaves runs of one class in one place
+        for k in range(len(dims)):
+            twin = twin and points[i, k] == points[i - 1, k]
+        if twin:
+            for k in range(len(dims)):
+                out[i, k] = out[i - 1, k]
+        else:
+            velocity(points[i], lo[classes[i]], hi[classes[i]], field, reach2, floor2, out[i], lists, dims)
+
+
+@njit(cache=True, nogil=True)
+def move(points, classes, lo, hi, field, reach2, floor2, noise, h, dims):
+    """Move points (n, d) under their own classes through the sub-steps of ``noise`` (sub-steps, n, d), in place.
+
+    ``h`` is the length of a sub-step, s.
+    """
+    drift = np.empty_like(points)
+    for part in range(len(noise)):
+        drifts(points, classes, lo, hi, field, reach2, floor2, drift, dims)
+        for i in range(len(points)):
+            for k in range(len(dims)):
+                points[i, k] += h * drift[i, k] + noise[part, i, k]
+
+
+@njit(cache=True, nogil=True)
+def _chain(q, node, nodes, parent, lo, hi, field, reach2, floor2, lists, out, dims):
+    """Localised velocity at q under a leaf node and every ancestor of it in use, into ``out``, from the leaf outwards.
+
+    The classes above a leaf are nested intervals of ranks. The rows near q are looked up once, for the outermost;
+    going outwards, each class adds two ranges of that list to the sums of the one inside it, so every neighbour is
+    looked at once and serves all the classes that hold it.
+    """
+    top = node
+    while parent[top] >= 0:
+        top = parent[top]
+    side, count = near(q, field.leaf_at[lo[nodes[top]]], field.leaf_at[hi[nodes[top]]], field, reach2, lists, dims)
+    rows = lists[side]
+    sums = nothing(dims)
+    best2, best = np.inf, 0  # nearest point so far; wanted only while the ball is empty
+    first = last = field.leaf_at[lo[nodes[node]]]
+    left = right = np.searchsorted(rows[:count], first)  # the rows near q that are summed: rows[left:right]
+    place = 0
+    while node >= 0:
+        outer_first, outer_last = field.leaf_at[lo[nodes[node]]], field.leaf_at[hi[nodes[node]]]
+        outer_left, outer_right = left, right
+        while outer_left > 0 and rows[outer_left - 1] >= outer_first:
+            outer_left -= 1
+        while outer_right < count and rows[outer_right] < outer_last:
+            outer_right += 1
+        sums = add_rows(q, rows, outer_left, left, field, reach2, floor2, sums, dims)
+        sums = add_rows(q, rows, right, outer_right, field, reach2, floor2, sums, dims)
+        if not mean_velocity(sums, out[place], dims):
+            best2, best = nearest(q, outer_first, first, field, best2, best, dims)
+            best2, best = nearest(q, last, outer_last, field, best2, best, dims)
+            velocity_at(field, best, out[place], dims)
+        first, last, left, right = outer_first, outer_last, outer_left, outer_right
+        place += 1
+        node = parent[node]
+
+
+@njit(cache=True, nogil=True)
+def move_nested(
+    points, leaf_of, nodes, parent, start, lo, hi, field, reach2, floor2, noise, copy_noise, h, copies, dims
+):
+    """Move the base particles (N, d) under their leaves, in place, and their copies under every ancestor in use.
+
+    One sub-step of ``h`` seconds: ``noise`` (N, d), ``copy_noise`` (S, d). The copies start where the base particle
+    does and come to lie in ``copies`` (S, d), grouped by node as ``start`` tells.
+    """
+    cursor = start[:-1].copy()
+    drift = np.empty((len(nodes), len(dims)))  # under a particle's leaf and its ancestors, from the leaf outwards
+    lists = scratch(field)
+    q, before = np.empty(len(dims)), np.empty(len(dims))
+    for i in range(len(points)):
+        twin = i > 0 and leaf_of[i] == leaf_of[i - 1]  # resampling leaves runs of one class in one place
+        for k in range(len(dims)):
+            q[k] = points[i, k]
+            twin = twin and q[k] == before[k]
+            before[k] = q[k]
+        if not twin:
+            _chain(q, leaf_of[i], nodes, parent, lo, hi, field, reach2, floor2, lists, drift, dims)
+        for k in range(len(dims)):
+            points[i, k] += h * drift[0, k] + noise[i, k]
+        node, place = parent[leaf_of[i]], 1
+        while node >= 0:
+            s = cursor[node]
+            cursor[node] += 1
+            for k in range(len(dims)):
+                copies[s, k] = q[k] + (h * drift[place, k] + copy_noise[s, k])
+            node, place = parent[node], place + 1
