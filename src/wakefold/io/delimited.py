@@ -139,7 +139,7 @@ class _Parser:
 
     def __call__(self, first: int, raw: bytes) -> Block:
         count = newlines(raw) + (not raw.endswith(b"\n"))
-        if self.layout.delimiter != " " and _is_utf8(raw):
+        if self.layout.delimiter != " " and _plain(raw):
             try:
                 table, bad = self._typed(raw)
                 if len(table) + len(bad) == count:
@@ -238,7 +238,8 @@ class _Parser:
         lines = numbers
         if bad:
             text = raw.split(b"\n")
-            broken = [*broken, *((int(numbers[i]), as_text(text[numbers[i] - first])) for i in bad)]
+            wrong = [(int(numbers[i]), as_text(text[numbers[i] - first])) for i in bad]
+            broken = [*broken, *(line for line in wrong if line[1])]  # a line of spaces is a blank line
             lines = np.delete(numbers, bad)
         return Block(columns, lines, sorted(broken), raw, first)
 
@@ -250,7 +251,10 @@ def _closed(delimiter: str) -> re.Pattern[bytes]:
     return re.compile(f"{field}(?:{d}{field})*+".encode())
 
 
-def _is_utf8(raw: bytes) -> bool:
+def _plain(raw: bytes) -> bool:
+    """Whether the parser can take a block as it is: UTF-8, and no carriage return apart from a line's end."""
+    if b"\r" in raw and raw.count(b"\r") != raw.count(b"\r\n"):
+        return False
     if not raw.isascii():
         try:
             raw.decode()
