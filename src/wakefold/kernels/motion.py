@@ -6,7 +6,7 @@
 import numpy as np
 from numba import njit
 
-from wakefold.kernels.boxes import near, nearest, scratch
+from wakefold.kernels.boxes import WIDTH, near, nearest, scratch
 from wakefold.kernels.neighbours import add_rows, mean_velocity, nothing, velocity, velocity_at
 
 
@@ -40,6 +40,19 @@ def move(points, classes, lo, hi, field, reach2, floor2, noise, h, dims):
 
 
 @njit(cache=True, nogil=True)
+def _first_from(rows, count, row):
+    """How many of the ``count`` rows, in rising order, come before a row; ``np.searchsorted`` compiles for a second."""
+    low, high = 0, count
+    while low < high:
+        middle = (low + high) // 2
+        if rows[middle] < row:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+@njit(cache=True, nogil=True)
 def _chain(q, node, nodes, parent, lo, hi, field, reach2, floor2, lists, out, dims):
     """Localised velocity at q under a leaf node and every ancestor of it in use, into ``out``, from the leaf outwards.
 
@@ -53,9 +66,9 @@ def _chain(q, node, nodes, parent, lo, hi, field, reach2, floor2, lists, out, di
     side, count = near(q, field.leaf_at[lo[nodes[top]]], field.leaf_at[hi[nodes[top]]], field, reach2, lists, dims)
     rows = lists[side]
     sums = nothing(dims)
-    best2, best = np.inf, 0  # nearest point so far; wanted only while the ball is empty
     first = last = field.leaf_at[lo[nodes[node]]]
-    left = right = np.searchsorted(rows[:count], first)  # the rows near q that are summed: rows[left:right]
+    best2, best = np.inf, first * 2 * len(dims) * WIDTH  # nearest point so far; wanted only while the ball is empty
+    left = right = _first_from(rows, count, first)  # the rows near q that are summed: rows[left:right]
     place = 0
     while node >= 0:
         outer_first, outer_last = field.leaf_at[lo[nodes[node]]], field.leaf_at[hi[nodes[node]]]

@@ -114,7 +114,8 @@ def add_rows(q, rows, first, last, field, reach2, floor2, sums, dims):
 def add_ball(q, first, last, field, reach2, floor2, sums, lists, dims):
     """``add_rows`` of all rows of ``[first, last)`` near q."""
     side, count = near(q, first, last, field, reach2, lists, dims)
-    return add_rows(q, lists[side], 0, count, field, reach2, floor2, sums, dims)
+    begin = np.intp(0)  # a literal would compile add_rows a second time
+    return add_rows(q, lists[side], begin, count, field, reach2, floor2, sums, dims)
 
 
 # Velocities

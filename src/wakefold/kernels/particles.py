@@ -14,9 +14,18 @@ LOG, GAUSSIAN, STUDENT = 0, 1, 2
 
 
 @njit(cache=True, nogil=True)
+def _peak(values):
+    """The largest value; ``values.max()`` would take a second to compile."""
+    peak = -np.inf
+    for i in range(len(values)):
+        peak = max(peak, values[i])
+    return peak
+
+
+@njit(cache=True, nogil=True)
 def pick(log_weights, positions, out):
     """Index of the particle at each of the sorted ``positions`` in [0, 1) of the cumulated weights, into ``out``."""
-    peak = log_weights.max()
+    peak = _peak(log_weights)
     total = 0.0
     for i in range(len(log_weights)):
         total += math.exp(log_weights[i] - peak)
@@ -78,19 +87,12 @@ def layout(classes, up, size):
             count[c] += 1
             total += count[c] == 1
             c = up[c]
-    nodes = np.empty(total, dtype=np.int64)
+    nodes, where = np.empty(total, dtype=np.int64), np.empty(size, dtype=np.int64)
     a = 0
-    for i in range(len(classes)):  # a negative count marks a class as listed
-        c = classes[i]
-        while c >= 0 and count[c] > 0:
-            nodes[a] = c
+    for c in range(size):
+        if count[c] > 0:
+            nodes[a], where[c] = c, a
             a += 1
-            count[c] = -count[c]
-            c = up[c]
-    nodes.sort()
-    where = np.empty(size, dtype=np.int64)
-    for a in range(total):
-        where[nodes[a]] = a
     parent = np.empty(total, dtype=np.int64)
     start = np.zeros(total + 1, dtype=np.int64)
     for a in range(total):
@@ -102,7 +104,7 @@ def layout(classes, up, size):
         leaf_of[i] = where[classes[i]]
         is_leaf[leaf_of[i]] = True
     for a in range(total):
-        start[a + 1] = start[a] + (0 if is_leaf[a] else -count[nodes[a]])
+        start[a + 1] = start[a] + (0 if is_leaf[a] else count[nodes[a]])
     copy_of = np.empty(start[total], dtype=np.int64)
     cursor = start[:-1].copy()
     for i in range(len(classes)):
@@ -149,7 +151,7 @@ def log_likelihood(points, fix, family, scale, dof, out):
 @njit(cache=True, nogil=True)
 def log_sum(log_weights):
     """log of the sum of exp(log_weights); -inf when all are -inf."""
-    peak = log_weights.max()
+    peak = _peak(log_weights)
     if peak == -np.inf:
         return peak
     total = 0.0
@@ -174,11 +176,16 @@ def multiply(log_weights, log_factors):
 
     When every product is zero nothing is changed and the result is -inf.
     """
-    before = log_sum(log_weights)
-    after = log_sum(log_weights + log_factors)
-    if after > -np.inf:
-        for i in range(len(log_weights)):
-            log_weights[i] += log_factors[i] - after
+    before, peak, total = log_sum(log_weights), -np.inf, 0.0
+    for i in range(len(log_weights)):
+        peak = max(peak, log_weights[i] + log_factors[i])
+    if peak == -np.inf:
+        return peak
+    for i in range(len(log_weights)):
+        total += math.exp(log_weights[i] + log_factors[i] - peak)
+    after = peak + math.log(total)
+    for i in range(len(log_weights)):
+        log_weights[i] += log_factors[i] - after
     return after - before
 
 
@@ -291,8 +298,9 @@ def nearest_used(parent, used):
 @njit(cache=True, nogil=True)
 def alive_above(nodes, parent, start, death, level):
     """(A,) for leaves the node alive at the level above (or at) them, -1 for other nodes."""
-    out = np.full(len(nodes), -1)
+    out = np.empty(len(nodes), dtype=np.int64)
     for a in range(len(nodes)):
+        out[a] = -1
         if start[a + 1] == start[a]:
             o = a
             while death[nodes[o]] <= level:
