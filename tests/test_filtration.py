@@ -169,9 +169,10 @@ def test_class_of_names_the_level_that_joins():
         tree.class_of([5], level=2.0)
     with pytest.raises(ValueError, match="no tracks named"):
         tree.class_of([], level=2.0)
-    for level in (-1.0, np.nan):
-        with pytest.raises(ValueError, match="level"):
-            tree.class_of([0], level=level)
+    for level in (-1.0, np.nan, np.inf):
+        for ask in (lambda b: tree.class_of([0], b), lambda b: tree.ancestor(0, b), tree.alive, tree.cuts):
+            with pytest.raises(ValueError, match="a level must be finite"):
+                ask(level)
 
 
 def test_ancestors_at_a_level():

@@ -191,8 +191,8 @@ class Filtration:
     def alive(self, b: float) -> Ints:
         """Classes alive at b (metres) in the order of their ranks: the level b, a partition of the tracks."""
         _check_level(b)
-        classes = np.flatnonzero((self.birth <= b) & (b < self.death))
-        return classes[np.argsort(self.lo[classes])]
+        found = np.flatnonzero((self.birth <= b) & (b < self.death))
+        return found[np.argsort(self.lo[found])]
 
     def cuts(self, b: float) -> Ints:
         """``(K + 1,)`` cut points of level b: its k-th class in rank order holds the ranks cuts[k] .. cuts[k + 1]."""
@@ -404,8 +404,8 @@ class Filtration:
 
 
 def _check_level(b: float) -> None:
-    if not b >= 0:
-        raise ValueError(f"a level must not be negative or NaN, got {b}")
+    if not 0 <= b < np.inf:
+        raise ValueError(f"a level must be finite and not negative, got {b}")
 
 
 def _newick_name(name: str) -> str:
