@@ -245,12 +245,16 @@ class ParticleFilter:
             raise ValueError(f"the belief has {len(belief.points)} particles, the filter {count}")
         if self.ess_threshold is not None and belief.ess >= self.ess_threshold * count:
             return belief.points.copy(), belief.classes.copy(), belief.log_weights.copy()
-        first = 1 if self.resampling == "systematic" else count
         changed = round(self.depletion * count) if self.single else 0
-        u = _draw(random.uniforms, belief.key, belief.step + 1, OPEN, (first + 1 + changed,))
-        kept = resample(belief.log_weights, u[:first], self.resampling)
-        leaves = len(self.model.tracks)
-        points, classes = kernel.reopen(belief.points, belief.classes, kept, u[first:], changed, leaves)
+        first, leaves = 1 if self.resampling == "systematic" else count, len(self.model.tracks)
+        key, step = belief.key, belief.step + 1
+        if self.resampling in ("systematic", "stratified"):
+            state = (belief.log_weights, belief.points, belief.classes)
+            points, classes = kernel.open_strata(key, step, OPEN, *state, first, changed, leaves)
+        else:
+            u = _draw(random.uniforms, key, step, OPEN, (first + 1 + changed,))
+            kept = resample(belief.log_weights, u[:first], self.resampling)
+            points, classes = kernel.reopen(belief.points, belief.classes, kept, u[first:], changed, leaves)
         return points, classes, self._even.copy()
 
     # Step 2: motion

@@ -110,14 +110,6 @@ def add_rows(q, rows, first, last, field, reach2, floor2, sums, dims):
     return sums
 
 
-@njit(cache=True, nogil=True)
-def add_ball(q, first, last, field, reach2, floor2, sums, lists, dims):
-    """``add_rows`` of all rows of ``[first, last)`` near q."""
-    side, count = near(q, first, last, field, reach2, lists, dims)
-    begin = np.intp(0)  # a literal would compile add_rows a second time
-    return add_rows(q, lists[side], begin, count, field, reach2, floor2, sums, dims)
-
-
 # Velocities
 
 
@@ -140,14 +132,17 @@ def velocity_at(field, place, out, dims):
 
 
 @njit(cache=True, nogil=True)
-def velocity(q, lo, hi, field, reach2, floor2, out, lists, dims):
-    """Localised velocity at q of the class with leaf ranks ``[lo, hi)``, into ``out`` (d,).
+def velocity(q, first, last, rows, count, field, reach2, floor2, out, dims):
+    """Localised velocity at q of the class with the rows ``[first, last)``, into ``out`` (d,).
 
     The inverse-distance mean of the velocities in the open ball of radius sqrt(reach2); of an empty ball, the velocity
     of the nearest point of the class (docs/algorithm.md, Dynamics; Hawasly et al. 2016, Section 3.1).
+
+    Args:
+        rows: ``count`` rows of the class, with all of its points in the ball (see ``near``).
     """
-    first, last = field.leaf_at[lo], field.leaf_at[hi]
-    sums = add_ball(q, first, last, field, reach2, floor2, nothing(dims), lists, dims)
+    begin = np.intp(0)  # a literal would compile add_rows a second time
+    sums = add_rows(q, rows, begin, count, field, reach2, floor2, nothing(dims), dims)
     if not mean_velocity(sums, out, dims):
         _, place = nearest(q, first, last, field, np.inf, first * 2 * len(dims) * WIDTH, dims)
         velocity_at(field, place, out, dims)
@@ -164,11 +159,12 @@ def departures(points, velocities, leaf_of, lo, hi, field, reach2, floor2, dims)
         (n, d); NaN where the ball holds no point of another leaf.
     """
     out, lists = np.empty_like(points), scratch(field)
+    begin = np.intp(0)  # see velocity
     for i in range(len(points)):
-        leaf, q = leaf_of[i], points[i]
-        sums = nothing(dims)
-        sums = add_ball(q, field.leaf_at[lo[i]], field.leaf_at[leaf], field, reach2, floor2, sums, lists, dims)
-        sums = add_ball(q, field.leaf_at[leaf + 1], field.leaf_at[hi[i]], field, reach2, floor2, sums, lists, dims)
+        leaf, q, sums = leaf_of[i], points[i], nothing(dims)
+        for first, last in ((lo[i], leaf), (leaf + 1, hi[i])):
+            side, count = near(q, field.leaf_at[first], field.leaf_at[last], field, reach2, lists, dims)
+            sums = add_rows(q, lists[side], begin, count, field, reach2, floor2, sums, dims)
         if mean_velocity(sums, out[i], dims):
             for k in range(len(dims)):
                 out[i, k] = velocities[i, k] - out[i, k]

@@ -10,6 +10,8 @@ import math
 import numpy as np
 from numba import njit
 
+from wakefold.kernels.random import uniforms
+
 LOG, GAUSSIAN, STUDENT = 0, 1, 2
 
 
@@ -64,6 +66,19 @@ def reopen(points, classes, kept, u, changed, leaves):
     for i in range(changed):
         new_classes[int((i + u[0]) * (count / changed))] = int(u[1 + i] * leaves)
     return new_points, new_classes
+
+
+@njit(cache=True, nogil=True)
+def open_strata(key, step, purpose, log_weights, points, classes, strata, changed, leaves):
+    """Draw, ``pick_strata`` and ``reopen`` in one call: three, and their arrays, cost 4 µs more, a tenth of a step.
+
+    ``strata``: how many uniforms are drawn for the picking, 1 or N.
+    """
+    u = np.empty(strata + 1 + changed)
+    uniforms(key, step, purpose, u)
+    kept = np.empty(len(log_weights), dtype=np.int64)
+    pick_strata(log_weights, u[:strata], kept)
+    return reopen(points, classes, kept, u[strata:], changed, leaves)
 
 
 @njit(cache=True, nogil=True)
