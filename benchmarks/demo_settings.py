@@ -14,7 +14,7 @@ from wakefold import demo
 from wakefold.demo_scores import constant_velocity, errors, nearest_track, particle
 from wakefold.filters.mhpf import MHPF
 
-EPSILONS, SCALES, SDS = (300.0, 500.0), (8.0, 15.0, 25.0), (25.0, 50.0, 100.0)  # metres, m/sqrt(s), metres
+EPSILONS, SCALES, SDS = (300.0, 500.0), (8.0, 15.0), (25.0, 50.0, 100.0)  # metres, m/sqrt(s), metres
 
 
 def main(quick: bool = False) -> None:

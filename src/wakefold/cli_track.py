@@ -222,8 +222,8 @@ def run(
                         seen = Refused(seen.line, str(error))
                     else:
                         out.write(line_of(answer))
-                        out.flush()
                         answered += 1
+                        out.flush()
                         if album is not None:
                             album.add(seen, belief, crowd)
                         continue

@@ -45,10 +45,10 @@ it is. First nothing is known. One fix leaves every track through that place. Th
 “{escape(report["evidence"])}” (simulated and true, held to be right with probability {settings["confidence"]:g}): it
 speaks of the coarsest level only, yet sharpens all of them. From then on the filter sees a fix every two minutes. All
 columns come from one set of particles, so they never contradict each other.</p>
-{_picture(pictures["belief"], "Probabilities of classes over time and level")}
+{_picture(pictures["belief"], "Probabilities of classes over time and level", 720)}
 <p>Looking ahead at {results["forecast_at"][:5]}: where the particles expect the ship, where it went, and where it would
 be at constant velocity.</p>
-{_picture(pictures["forecast"], "Forecast for 5 and 15 minutes")}
+{_picture(pictures["forecast"], "Forecast for 5 and 15 minutes", 560)}
 
 <h2>The same in numbers</h2>
 <p>Most probable class at each of three levels and its probability; how far the estimate is from the ship, and the
@@ -70,8 +70,9 @@ Seed {settings["seed"]}. Made in {results["seconds"]:.0f} s.</p>
 """
 
 
-def _picture(path: Path, text: str) -> str:
-    return f'<img alt="{escape(text)}" src="data:image/png;base64,{base64.b64encode(path.read_bytes()).decode()}">'
+def _picture(path: Path, text: str, width: int = 1080) -> str:
+    data = base64.b64encode(path.read_bytes()).decode()
+    return f'<img alt="{escape(text)}" style="width:{width}px" src="data:image/png;base64,{data}">'
 
 
 def _steps(steps: list[dict[str, Any]], levels: list[float]) -> str:
