@@ -103,9 +103,13 @@ def test_larger_sets_and_a_crowded_search(monkeypatch):
 
 
 def test_threads_and_order_do_not_matter():
+    tied = Tracks.from_arrays(
+        on_a_grid(np.random.default_rng(6), 3000, 2)
+    )  # so many minimal trees, yet always the same
+    for one, other in zip(spanning_tree(tied, threads=1), spanning_tree(tied, threads=4), strict=True):
+        np.testing.assert_array_equal(one, other)
     tracks = Tracks.from_arrays(clusters(np.random.default_rng(1), 300, 2))
-    edges, heights = spanning_tree(tracks, threads=1)
-    np.testing.assert_array_equal(spanning_tree(tracks, threads=4)[1], heights)
+    edges, heights = spanning_tree(tracks)
     shuffled = np.random.default_rng(2).permutation(300)
     np.testing.assert_array_equal(spanning_tree(tracks.select(shuffled))[1], heights)
     matrix = frechet_matrix(tracks)
@@ -133,6 +137,22 @@ def test_features_never_promise_too_much(dim):
             if kind is two_hubs:
                 assert (bound > distance / 3)[distance > 0.1 * distance.max()].mean() > 0.5  # and they are worth having
     assert spanning.MARGIN / 50 < closest < spanning.MARGIN
+
+
+@pytest.mark.parametrize("count", [2, 9, 100, 3000])
+def test_tiles_hold_every_pair_of_tracks_once(count):
+    boxes = spanning._divide(np.random.default_rng(7).normal(size=(count, 4)).astype(np.float32))
+    inner = len(boxes.bounds) - 2
+    seen = np.zeros((count, count), dtype=np.int8)
+    for tile in spanning._tiles(boxes, pieces=16):
+        tracks = []
+        for box in tile.tolist():
+            first = last = box
+            while first < inner:
+                first, last = 2 * first + 1, 2 * last + 2
+            tracks.append(slice(boxes.bounds[first - inner], boxes.bounds[last - inner + 1]))
+        seen[tracks[0], tracks[1]] += 1
+    assert (seen[np.triu_indices(count, 1)] == 1).all()
 
 
 def test_boxes_hold_their_tracks():

@@ -10,6 +10,7 @@ tree is minimal. docs/filtration.md has the bounds and the proof.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -25,7 +26,8 @@ Singles = NDArray[np.float32]
 LEAF = 8  # tracks in a box that is not divided further, at most
 LANDMARKS = 16
 GROWTH = 1.5  # of the radius; smaller means fewer distances and more searches
-ROOM = 1 << 18  # pairs found before their distances are computed
+TRACKS = 2048  # tracks to a piece of the search, on average
+ROOM = 1 << 14  # pairs a piece of the search may find before their distances are computed
 PIECE = 1 << 22  # cells of the dynamic programme in one piece of work: a millisecond
 MARGIN = 2.0**-21  # of the unit of features: more than rounding can lift a lower bound, see docs/filtration.md
 
@@ -64,40 +66,63 @@ def spanning_tree(
 
     Args:
         tracks: two or more.
-        threads: all cores by default; heights do not depend on it.
+        threads: all cores by default; the tree does not depend on it.
         progress: called with the share of the tracks that have joined.
 
     Raises:
         ValueError: positions so far apart that a distance overflows.
     """
-    from wakefold.kernels.frechet_tree import close_pairs, label_boxes
+    from wakefold.kernels.frechet_tree import label_boxes
 
     count = len(tracks)
     boxes, unit = _boxes_of(tracks, threads)
     margin = MARGIN * unit
     forest = _grow(None, np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), count)
     part, box_part = np.arange(count), np.empty(len(boxes.low), dtype=np.int64)
-    a, b, square = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64), np.empty(ROOM, np.float32)
-    stack = np.empty((8 * len(boxes.low).bit_length() + 8, 2), dtype=np.int64)
+    pieces = max(16, count // TRACKS)
     neighbours = np.abs(np.diff(boxes.features, axis=0)).max(axis=1)
     radius = max(unit * float(np.quantile(neighbours, 0.25)) / 2, margin)
     settled, done = 0.0, np.float32(0)  # pairs with a lower bound under `settled` metres have been dealt with
     while True:
         limit = np.nextafter(np.float32(((radius + margin) / unit) ** 2), np.float32(np.inf))
-        stack[0], top = 0, 1
-        while top:
+        tiles = _tiles(boxes, pieces)
+        while len(tiles):
             part[forest.order] = np.concatenate([[0], np.cumsum(forest.gaps > settled)])
             label_boxes(part, boxes.bounds, box_part)
-            shape = boxes.features, part, boxes.bounds, boxes.low, boxes.high, box_part
-            top, n = close_pairs(*shape, tracks.dim, done, limit, stack, top, a, b, square)
-            bound = np.maximum(np.sqrt(square[:n].astype(np.float64)) * unit - margin, 0.0)
-            forest = _evaluate(tracks, boxes.order, a[:n], b[:n], bound, forest, threads)
+            search = partial(_search, boxes, part, box_part, tracks.dim, done, limit)
+            found = thread_map(search, [tiles[k::pieces] for k in range(min(pieces, len(tiles)))], threads)
+            tiles, a, b, square = map(np.concatenate, zip(*found, strict=True))
+            bound = np.maximum(np.sqrt(square.astype(np.float64)) * unit - margin, 0.0)
+            forest = _evaluate(tracks, boxes.order, a, b, bound, forest, threads)
         joined = int(np.searchsorted(forest.heights, radius, side="right"))
         if progress:
             progress(joined / (count - 1))
         if joined == count - 1:
             return boxes.order[np.stack([forest.first, forest.second], axis=1)], forest.heights
         settled, done, radius = radius, limit, radius * GROWTH
+
+
+def _tiles(boxes: Boxes, pieces: int) -> Ints:
+    """Pairs of boxes ``(n, 2)`` that hold every pair of tracks once, many to a piece, each kind dealt to all pieces."""
+    leaves = len(boxes.bounds) - 1
+    width = min(leaves, 8 << pieces.bit_length() // 2)
+    first, second = np.triu_indices(width)
+    near = np.argsort(second - first, kind="stable")
+    return np.stack([first[near], second[near]], axis=1) + (width - 1)
+
+
+def _search(
+    boxes: Boxes, part: Ints, box_part: Ints, dim: int, done: np.float32, limit: np.float32, tiles: Ints
+) -> tuple[Ints, Ints, Ints, Singles]:
+    """What is left of the tiles when there is no more room, and the pairs found: first, second, square of the bound."""
+    from wakefold.kernels.frechet_tree import close_pairs
+
+    stack = np.empty((len(tiles) + 4 * len(boxes.low).bit_length(), 2), dtype=np.int64)
+    stack[: len(tiles)] = tiles
+    a, b, square = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64), np.empty(ROOM, np.float32)
+    shape = boxes.features, part, boxes.bounds, boxes.low, boxes.high, box_part
+    top, n = close_pairs(*shape, dim, done, limit, stack, len(tiles), a, b, square)
+    return stack[:top].copy(), a[:n].copy(), b[:n].copy(), square[:n].copy()
 
 
 def _evaluate(
