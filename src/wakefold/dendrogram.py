@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,71 +18,31 @@ def leaf_order(edges: Ints, heights: Floats) -> tuple[Ints, Floats]:
         edges: ``(M - 1, 2)`` a track of each of the two clusters merged.
         heights: ``(M - 1,)`` rising.
 
-    A cluster is a linked list of tracks that begins with its smallest track, which also stands for it. The clusters
-    joined at one height are chained by rising smallest track, so the order depends on the classes alone, not on which
-    of several minimum spanning trees the edges come from.
+    A cluster is a list of tracks that begins with its smallest track, which also names it. The clusters joined at one
+    height are chained by rising name, so the order depends on the classes alone, not on which of several minimum
+    spanning trees the edges come from.
     """
-    tracks = len(edges) + 1
-    root, tail, after, above = list(range(tracks)), list(range(tracks)), [-1] * tracks, [0.0] * tracks
+    from wakefold.kernels.dendrogram import chain, name_merges
 
-    def find(x: int) -> int:
-        while root[x] != x:
-            root[x] = x = root[root[x]]
-        return x
-
-    def chain(cluster: int, other: int, height: float) -> None:
-        after[tail[cluster]], above[tail[cluster]] = other, height
-        root[other], tail[cluster] = cluster, tail[other]
-
-    bounds = np.concatenate([[0], np.flatnonzero(np.diff(heights)) + 1, [len(heights)]]).tolist()
-    pairs, levels = edges.tolist(), heights.tolist()
-    for start, stop in pairwise(bounds):
-        if stop == start + 1:
-            cluster, other = sorted(map(find, pairs[start]))
-            chain(cluster, other, levels[start])
-            continue
-        clusters = sorted({find(x) for pair in pairs[start:stop] for x in pair})
-        for a, b in pairs[start:stop]:
-            root[find(a)] = find(b)
-        smallest: dict[int, int] = {}
-        for cluster, whole in [(cluster, find(cluster)) for cluster in clusters]:
-            if whole in smallest:
-                chain(smallest[whole], cluster, levels[start])
-            else:
-                smallest[whole] = cluster
-        for cluster in smallest.values():
-            root[cluster] = cluster
-    order = [0]
-    while after[order[-1]] >= 0:
-        order.append(after[order[-1]])
-    ranked = np.array(order, dtype=np.int64)
-    return ranked, np.array(above)[ranked[:-1]]
+    winner, loser = np.empty((2, len(edges)), dtype=np.int64)
+    name_merges(np.ascontiguousarray(edges), heights, winner, loser)
+    by = np.lexsort((loser, heights))
+    order, gaps = np.empty(len(edges) + 1, dtype=np.int64), np.empty(len(edges))
+    chain(winner[by], loser[by], heights[by], order, gaps)
+    return order, gaps
 
 
 def classes(order: Ints, rank: Ints, gaps: Floats) -> dict[str, NDArray]:
-    """``lo, hi, birth, death, parent`` of all classes, numbered as in ``Filtration``, in one pass over the gaps."""
+    """``lo, hi, birth, death, parent`` of all classes, numbered as in ``Filtration``."""
+    from wakefold.kernels.dendrogram import nest
+
     tracks = len(order)
-    # Nodes: the leaves by rank, then merged classes as they are met. The stack holds those still open, births falling.
-    lo, birth, parent, hi = list(range(tracks)), [0.0] * tracks, [-1] * tracks, list(range(1, tracks + 1))
-    stack: list[int] = []
-    for r, gap in enumerate([*gaps.tolist(), np.inf]):
-        node = r
-        while stack and birth[stack[-1]] < gap:
-            child, node = node, stack.pop()
-            parent[child], hi[node] = node, r + 1
-        if r == tracks - 1:
-            break
-        if not (stack and birth[stack[-1]] == gap):
-            stack.append(len(lo))
-            lo.append(lo[node])
-            hi.append(0)
-            birth.append(gap)
-            parent.append(-1)
-        parent[node] = stack[-1]
-    low, high, born, above = np.array(lo), np.array(hi), np.array(birth), np.array(parent, dtype=np.int64)
-    node_of = np.concatenate([rank, tracks + np.lexsort((low[tracks:], born[tracks:]))])
-    class_of = np.empty(len(node_of), dtype=np.int64)
-    class_of[node_of] = np.arange(len(node_of))
+    low, high, above = np.empty((3, 2 * tracks - 1), dtype=np.int64)
+    born = np.empty(2 * tracks - 1)
+    count = nest(gaps.copy(), low, high, born, above)  # read-only arrays would be compiled for again
+    node_of = np.concatenate([rank, tracks + np.lexsort((low[tracks:count], born[tracks:count]))])
+    class_of = np.empty(count, dtype=np.int64)
+    class_of[node_of] = np.arange(count)
     above = above[node_of]
     parents = np.where(above >= 0, class_of[above], -1)
     births = born[node_of]
@@ -144,3 +104,57 @@ def levels_by_persistence(birth: Floats, death: Floats, persistence: float) -> F
             first_death = np.inf
         latest, first_death = born, min(first_death, dead)
     return np.array([*out, latest] if lasting.any() else [])
+
+
+def linkage_matrix(lo: Ints, hi: Ints, birth: Floats, children: Callable[[int], Ints]) -> Floats:
+    """``(M - 1, 4)`` merges as scipy.cluster.hierarchy writes them; a class with k children takes k - 1 rows.
+
+    Args:
+        lo, hi, birth: ``(C,)`` of each class, numbered as in ``Filtration``.
+        children: of a class.
+    """
+    tracks = int(hi[-1])
+    z = np.empty((tracks - 1, 4))
+    number = list(range(tracks)) + [0] * (len(birth) - tracks)  # scipy's number of each class
+    row = 0
+    for c in range(tracks, len(birth)):
+        first, *others = children(c).tolist()
+        left, size = number[first], hi[first] - lo[first]
+        for child in others:
+            size += hi[child] - lo[child]
+            z[row] = (*sorted((left, number[child])), birth[c], size)
+            left = tracks + row
+            row += 1
+        number[c] = left
+    return z
+
+
+def newick(names: Sequence[str], birth: Floats, parent: Ints, children: Callable[[int], Ints]) -> str:
+    """The tree as one line of Newick text; a branch is as long as ``birth(parent) - birth(child)``.
+
+    Args:
+        names: ``(M,)`` of the tracks.
+        birth, parent: ``(C,)`` of each class, numbered as in ``Filtration``.
+        children: of a class.
+    """
+    words: list[str] = []
+    stack: list[int | str] = [len(birth) - 1]
+    while stack:
+        item = stack.pop()
+        if isinstance(item, str):
+            words.append(item)
+            continue
+        length = f":{float(birth[parent[item]] - birth[item])!r}" if parent[item] >= 0 else ""
+        if item < len(names):
+            words.append(_newick_name(str(names[item])) + length)
+            continue
+        words.append("(")
+        stack.append(")" + length)
+        for k, child in enumerate(children(item)[::-1].tolist()):
+            stack.extend([",", child] if k else [child])
+    return "".join(words) + ";"
+
+
+def _newick_name(name: str) -> str:
+    """Quoted unless plain: Newick reads an unquoted underscore as a blank."""
+    return name if name and name.replace(".", "").replace("-", "").isalnum() else "'" + name.replace("'", "''") + "'"

@@ -16,15 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wakefold import store
-from wakefold.dendrogram import (
-    classes,
-    largest_between,
-    leaf_order,
-    levels_by_entropy,
-    levels_by_persistence,
-    range_maxima,
-)
+from wakefold import dendrogram, store
 from wakefold.distance import frechet_matrix
 from wakefold.spanning import spanning_tree
 from wakefold.tracks import Floats, Tracks
@@ -85,7 +77,7 @@ class Filtration:
             raise ValueError(f"linkage must be 'single' or 'complete', got {self.linkage!r}")
         rank = np.empty(tracks, dtype=np.int64)
         rank[order] = np.arange(tracks)
-        arrays = {"order": order, "gaps": gaps, "ids": ids, "rank": rank, **classes(order, rank, gaps)}
+        arrays = {"order": order, "gaps": gaps, "ids": ids, "rank": rank, **dendrogram.classes(order, rank, gaps)}
         for name, array in arrays.items():
             view = array.view()
             view.flags.writeable = False
@@ -127,7 +119,7 @@ class Filtration:
                 f"complete linkage holds a matrix of distances: {_COMPLETE:,} tracks at most, not {len(tracks):,}"
             )
         if linkage == "single" and (len(tracks) > _SMALL or len(tracks.points) > _SMALL_POINTS):
-            order, gaps = leaf_order(*spanning_tree(tracks, threads, progress))
+            order, gaps = dendrogram.leaf_order(*spanning_tree(tracks, threads, progress))
             return cls(order, gaps, tracks.ids, linkage)
         distances = frechet_matrix(tracks, threads=threads, progress=progress)
         return cls.from_distances(distances, tracks.ids, linkage)
@@ -145,7 +137,7 @@ class Filtration:
         for row, (a, b) in enumerate(z[:, :2].astype(np.int64).tolist()):
             edges[row] = first[a], first[b]
             first.append(first[a])
-        order, gaps = leaf_order(edges, z[:, 2])
+        order, gaps = dendrogram.leaf_order(edges, z[:, 2])
         return cls(order, gaps, names, linkage)
 
     def packed(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
@@ -281,7 +273,7 @@ class Filtration:
         # The smallest class that holds both is born at the largest gap of the range that spans both.
         start = np.minimum(self.lo[a], self.lo[b])
         stop = np.where(a == b, start, np.maximum(self.hi[a], self.hi[b]) - 1)
-        found = largest_between(self._range_maxima, start, stop)
+        found = dendrogram.largest_between(self._range_maxima, start, stop)
         return float(found) if found.ndim == 0 else found
 
     def medoid(self, c: int, tracks: Tracks, limit: int = 1000) -> int:
@@ -323,49 +315,21 @@ class Filtration:
             if not (persistence >= 0 and np.isfinite(persistence)):
                 raise ValueError(f"persistence must be finite and not negative, got {persistence}")
             merged = slice(len(self), self.root)
-            return levels_by_persistence(self.birth[merged], self.death[merged], persistence)
+            return dendrogram.levels_by_persistence(self.birth[merged], self.death[merged], persistence)
         number = 8 if number is None else number
         if number < 1:
             raise ValueError(f"number must be at least 1, got {number}")
-        return levels_by_entropy(self.hi - self.lo, self.birth, self.parent, number)
+        return dendrogram.levels_by_entropy(self.hi - self.lo, self.birth, self.parent, number)
 
     # Other forms
 
     def linkage_matrix(self) -> Floats:
         """``(M - 1, 4)`` merges as scipy.cluster.hierarchy writes them; a class with k children takes k - 1 rows."""
-        z = np.empty((len(self) - 1, 4))
-        number = list(range(len(self))) + [0] * (len(self.birth) - len(self))  # scipy's number of each class
-        row = 0
-        for c in range(len(self), len(self.birth)):
-            children = self.children(c)
-            left, size = number[children[0]], self.hi[children[0]] - self.lo[children[0]]
-            for child in children[1:]:
-                size += self.hi[child] - self.lo[child]
-                z[row] = (*sorted((left, number[child])), self.birth[c], size)
-                left = len(self) + row
-                row += 1
-            number[c] = left
-        return z
+        return dendrogram.linkage_matrix(self.lo, self.hi, self.birth, self.children)
 
     def newick(self) -> str:
         """The tree as one line of Newick text; a branch is as long as ``birth(parent) - birth(child)``, metres."""
-        words: list[str] = []
-        stack: list[int | str] = [self.root]
-        while stack:
-            item = stack.pop()
-            if isinstance(item, str):
-                words.append(item)
-                continue
-            above = self.parent[item]
-            length = f":{float(self.birth[above] - self.birth[item])!r}" if above >= 0 else ""
-            if item < len(self):
-                words.append(_newick_name(str(self.ids[item])) + length)
-                continue
-            words.append("(")
-            stack.append(")" + length)
-            for k, child in enumerate(self.children(item)[::-1].tolist()):
-                stack.extend([",", child] if k else [child])
-        return "".join(words) + ";"
+        return dendrogram.newick(self.ids.tolist(), self.birth, self.parent, self.children)
 
     def __repr__(self) -> str:
         top = f", joined at {self.birth[self.root]:.6g}" if len(self) > 1 else ""
@@ -396,7 +360,7 @@ class Filtration:
 
     @cached_property
     def _range_maxima(self) -> Floats:
-        return range_maxima(self.gaps)
+        return dendrogram.range_maxima(self.gaps)
 
     def _check(self, c: int) -> None:
         if not 0 <= c <= self.root:
@@ -406,8 +370,3 @@ class Filtration:
 def _check_level(b: float) -> None:
     if not 0 <= b < np.inf:
         raise ValueError(f"a level must be finite and not negative, got {b}")
-
-
-def _newick_name(name: str) -> str:
-    """Quoted unless plain: Newick reads an unquoted underscore as a blank."""
-    return name if name and name.replace(".", "").replace("-", "").isalnum() else "'" + name.replace("'", "''") + "'"

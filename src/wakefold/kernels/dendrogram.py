@@ -1,0 +1,89 @@
+"""Dendrograms in loops: merges to leaf order, gaps to classes."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+
+@njit(cache=True, nogil=True)
+def find(root, x):
+    """Representative of the set of x; halves the path to it."""
+    while root[x] != x:
+        root[x] = root[root[x]]
+        x = root[x]
+    return x
+
+
+@njit(cache=True, nogil=True)
+def name_merges(edges, heights, winner, loser):
+    """The clusters that merges join, each named by its smallest track.
+
+    Args:
+        edges: ``(M - 1, 2)`` a track of each of the two clusters merged.
+        heights: ``(M - 1,)`` rising.
+        winner, loser: ``(M - 1,)`` written: the cluster of ``loser`` becomes part of that of ``winner`` at this height.
+            Each track but the first loses once.
+    """
+    root = np.arange(len(edges) + 1)
+    start = 0
+    for k in range(len(edges)):
+        a, b = find(root, edges[k, 0]), find(root, edges[k, 1])
+        root[max(a, b)] = min(a, b)
+        loser[k] = max(a, b)
+        if k + 1 == len(edges) or heights[k + 1] > heights[k]:
+            for tied in range(start, k + 1):
+                winner[tied] = find(root, loser[tied])
+            start = k + 1
+
+
+@njit(cache=True, nogil=True)
+def chain(winner, loser, heights, order, gaps):
+    """Append the cluster of each loser to that of its winner, in the sequence given.
+
+    Args:
+        winner, loser, heights: ``(M - 1,)`` see ``name_merges``.
+        order, gaps: ``(M,)``, ``(M - 1,)`` written: the tracks, and the height that joins each to the one before.
+    """
+    tail, after, above = np.arange(len(order)), np.full(len(order), -1), np.empty(len(order))
+    for k in range(len(winner)):
+        last = tail[winner[k]]
+        after[last], above[last], tail[winner[k]] = loser[k], heights[k], tail[loser[k]]
+    track = 0
+    for rank in range(len(gaps)):
+        order[rank], gaps[rank] = track, above[track]
+        track = after[track]
+    order[len(gaps)] = track
+
+
+@njit(cache=True, nogil=True)
+def nest(gaps, lo, hi, birth, parent):
+    """Classes of a dendrogram: the leaves by rank, then the merged ones as they are met from left to right.
+
+    Args:
+        gaps: ``(M - 1,)`` heights between neighbouring leaves.
+        lo, hi, birth, parent: ``(2 M - 1,)``, written.
+
+    Returns:
+        number of classes.
+    """
+    tracks = len(gaps) + 1
+    for r in range(tracks):
+        lo[r], hi[r], birth[r], parent[r] = r, r + 1, 0.0, -1
+    stack, top, count = np.empty(tracks, np.int64), 0, tracks  # classes still open, births falling
+    for r in range(tracks):
+        gap = gaps[r] if r < tracks - 1 else np.inf
+        node = r
+        while top > 0 and birth[stack[top - 1]] < gap:
+            top -= 1
+            parent[node] = stack[top]
+            node = stack[top]
+            hi[node] = r + 1
+        if r < tracks - 1:
+            if top == 0 or birth[stack[top - 1]] > gap:
+                lo[count], birth[count], parent[count] = lo[node], gap, -1
+                stack[top] = count
+                top += 1
+                count += 1
+            parent[node] = stack[top - 1]
+    return count
