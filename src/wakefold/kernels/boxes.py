@@ -30,6 +30,8 @@ FAN = LANES["float32"]
 SHIFT = FAN.bit_length() - 1
 _SINGLES = Vector(types.float32)
 WORD = ir.IntType(64)
+AHEAD = 16  # rows are fetched so many before their use
+CACHE_LINE = 64  # bytes
 SLACK = 1e-6  # relative; float32 rounds by 6e-8: the corner, the position, their difference, its square
 
 
@@ -110,6 +112,28 @@ def sum_of(builder, terms, flags=()):
     return total
 
 
+@intrinsic
+def fetch(typing, data, row, dims):
+    """Start to read a row of the data, d cache lines, into the nearest cache.
+
+    Lists of rows jump about in memory: without it a neighbour costs 1.6 ns, with it 1.05 (210,000 points, 7 MB). Any
+    index will do, beyond the end too: no memory fault comes of it. Boxes gain nothing from it.
+    """
+
+    def generate(context, builder, signature, arguments):
+        byte, number = ir.IntType(8).as_pointer(), ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
+        prefetch = builder.module.declare_intrinsic("llvm.prefetch", [byte], kind)
+        start = builder.bitcast(data_of(context, builder, signature, arguments, 0), byte)
+        first = builder.mul(arguments[1], ir.Constant(WORD, len(dims) * CACHE_LINE))
+        for k in range(len(dims)):
+            place = builder.gep(start, [builder.add(first, ir.Constant(WORD, k * CACHE_LINE))])
+            builder.call(prefetch, [place, *(ir.Constant(number, x) for x in (0, 3, 1))])  # read, keep, data
+        return context.get_dummy_value()
+
+    return types.none(data, types.intp, dims), generate
+
+
 # The way down the boxes
 
 
@@ -183,7 +207,7 @@ def _append(typing, out, count, base, mask):
 @njit(cache=True, nogil=True)
 def scratch(field):
     """Room for the lists of ``near``."""
-    return np.empty((2, field.leaf_at[-1] + FAN), dtype=np.int32)
+    return np.empty((2, field.leaf_at[-1] + FAN + AHEAD + 2), dtype=np.int32)
 
 
 @njit(cache=True, nogil=True)

@@ -15,6 +15,15 @@ SHARE = 0.125
 
 
 @njit(cache=True, nogil=True)
+def _within(p, q, reach2, dims):
+    """Whether two positions are less than sqrt(reach2) apart."""
+    total = 0.0
+    for k in range(len(dims)):
+        total += (p[k] - q[k]) ** 2
+    return total < reach2
+
+
+@njit(cache=True, nogil=True)
 def drifts(points, classes, lo, hi, field, reach2, floor2, out, dims):
     """Localised velocity at each of the points (n, d) under its own class, into ``out`` (n, d)."""
     lists, side, count, listed = scratch(field), 0, 0, -1  # the rows near ``centre`` of the class ``listed``
@@ -28,11 +37,8 @@ def drifts(points, classes, lo, hi, field, reach2, floor2, out, dims):
             for k in range(len(dims)):
                 out[i, k] = out[i - 1, k]
             continue
-        away2 = 0.0
-        for k in range(len(dims)):
-            away2 += (points[i, k] - centre[k]) ** 2
         first, last = field.leaf_at[lo[classes[i]]], field.leaf_at[hi[classes[i]]]
-        if classes[i] != listed or not away2 < share2:
+        if classes[i] != listed or not _within(points[i], centre, share2, dims):
             side, count = near(points[i], first, last, field, wide2, lists, dims)
             listed = classes[i]
             for k in range(len(dims)):
@@ -68,18 +74,15 @@ def _first_from(rows, count, row):
 
 
 @njit(cache=True, nogil=True)
-def _chain(q, node, nodes, parent, lo, hi, field, reach2, floor2, lists, out, dims):
+def _chain(q, node, nodes, parent, lo, hi, rows, count, field, reach2, floor2, out, dims):
     """Localised velocity at q under a leaf node and every ancestor of it in use, into ``out``, from the leaf outwards.
 
-    The classes above a leaf are nested intervals of ranks. The rows near q are looked up once, for the outermost;
-    going outwards, each class adds two ranges of that list to the sums of the one inside it, so every neighbour is
-    looked at once and serves all the classes that hold it.
+    The classes above a leaf are nested intervals of ranks. Going outwards, each class adds two ranges of the rows near
+    q to the sums of the one inside it, so every neighbour is looked at once and serves all the classes that hold it.
+
+    Args:
+        rows: ``count`` rows of the outermost class, in rising order, with all of its points in the ball.
     """
-    top = node
-    while parent[top] >= 0:
-        top = parent[top]
-    side, count = near(q, field.leaf_at[lo[nodes[top]]], field.leaf_at[hi[nodes[top]]], field, reach2, lists, dims)
-    rows = lists[side]
     sums = nothing(dims)
     first = last = field.leaf_at[lo[nodes[node]]]
     best2, best = np.inf, first * 2 * len(dims) * WIDTH  # nearest point so far; wanted only while the ball is empty
@@ -92,8 +95,10 @@ def _chain(q, node, nodes, parent, lo, hi, field, reach2, floor2, lists, out, di
             outer_left -= 1
         while outer_right < count and rows[outer_right] < outer_last:
             outer_right += 1
-        sums = add_rows(q, rows, outer_left, left, field, reach2, floor2, sums, dims)
-        sums = add_rows(q, rows, right, outer_right, field, reach2, floor2, sums, dims)
+        if outer_left < left:  # often nothing is added on one side
+            sums = add_rows(q, rows, outer_left, left, field, reach2, floor2, sums, dims)
+        if right < outer_right:
+            sums = add_rows(q, rows, right, outer_right, field, reach2, floor2, sums, dims)
         if not mean_velocity(sums, out[place], dims):
             best2, best = nearest(q, outer_first, first, field, best2, best, dims)
             best2, best = nearest(q, last, outer_last, field, best2, best, dims)
@@ -114,8 +119,9 @@ def move_nested(
     """
     cursor = start[:-1].copy()
     drift = np.empty((len(nodes), len(dims)))  # under a particle's leaf and its ancestors, from the leaf outwards
-    lists = scratch(field)
-    q, before = np.empty(len(dims)), np.empty(len(dims))
+    lists, side, count, listed = scratch(field), 0, 0, -1  # the rows near ``centre`` of the node ``listed``
+    share2, wide2 = reach2 * SHARE**2, reach2 * (1.0 + SHARE) ** 2
+    q, before, centre = np.empty(len(dims)), np.empty(len(dims)), np.empty(len(dims))
     for i in range(len(points)):
         twin = i > 0 and leaf_of[i] == leaf_of[i - 1]  # resampling leaves runs of one class in one place
         for k in range(len(dims)):
@@ -123,7 +129,16 @@ def move_nested(
             twin = twin and q[k] == before[k]
             before[k] = q[k]
         if not twin:
-            _chain(q, leaf_of[i], nodes, parent, lo, hi, field, reach2, floor2, lists, drift, dims)
+            top = leaf_of[i]
+            while parent[top] >= 0:
+                top = parent[top]
+            if top != listed or not _within(q, centre, share2, dims):
+                first, last = field.leaf_at[lo[nodes[top]]], field.leaf_at[hi[nodes[top]]]
+                side, count = near(q, first, last, field, wide2, lists, dims)
+                listed = top
+                for k in range(len(dims)):
+                    centre[k] = q[k]
+            _chain(q, leaf_of[i], nodes, parent, lo, hi, lists[side], count, field, reach2, floor2, drift, dims)
         for k in range(len(dims)):
             points[i, k] += h * drift[0, k] + noise[i, k]
         node, place = parent[leaf_of[i]], 1

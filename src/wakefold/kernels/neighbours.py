@@ -12,11 +12,13 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 
 from wakefold.kernels.boxes import (
+    AHEAD,
     WIDTH,
     WORD,
     all_lanes,
     coordinates,
     data_of,
+    fetch,
     near,
     nearest,
     scratch,
@@ -103,6 +105,8 @@ def add_rows(q, rows, first, last, field, reach2, floor2, sums, dims):
     ``sums`` are d + 1 vectors, of 1/distance and of velocity/distance; distances are floored at sqrt(floor2).
     """
     for i in range(first, last - 1, 2):
+        fetch(field.data, np.intp(rows[i + AHEAD]), dims)
+        fetch(field.data, np.intp(rows[i + AHEAD + 1]), dims)
         sums = _add_rows(field.data, np.intp(rows[i]), np.intp(rows[i + 1]), q, reach2, floor2, sums, dims)
     if (last - first) % 2 == 1:
         empty = field.leaf_at[-1]
