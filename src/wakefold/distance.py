@@ -97,6 +97,23 @@ def frechet_matrix(
     return out
 
 
+def distances_from(track: Floats, tracks: Tracks, others: NDArray[np.int64]) -> Floats:
+    """Discrete Fréchet distances ``(n,)`` of one track, ``(points, d)``, to some of the tracks, in the calling thread.
+
+    Raises:
+        ValueError: a distance that overflows.
+    """
+    from wakefold.kernels.frechet import track_against_tracks
+
+    by = np.argsort(tracks.offsets[others + 1] - tracks.offsets[others], kind="stable")
+    found, out = np.empty(len(others)), np.empty(len(others))
+    track_against_tracks(track, tracks.points, tracks.offsets, others[by], (0,) * tracks.dim, found)
+    out[by] = found
+    if not np.isfinite(out).all():
+        raise ValueError(f"track {str(tracks.ids[others[np.argmax(out)]])!r} is too far away: overflow")
+    return out
+
+
 def _in_units(points: list[Floats], dtype: str) -> tuple[list[NDArray[np.floating]], int]:
     """Points as the kernel takes them, and the power of two its distances are to be multiplied by.
 

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wakefold import dendrogram, store
 from wakefold.distance import frechet_matrix
+from wakefold.search import TrackIndex
 from wakefold.spanning import spanning_tree
 from wakefold.tracks import Floats, Tracks
 
@@ -284,8 +285,7 @@ class Filtration:
             limit: of a larger class, this many members spread evenly over the dendrogram stand for the class,
                 which bounds the distances computed to limit² / 2.
         """
-        if len(tracks) != len(self) or not np.array_equal(tracks.ids, self.ids):
-            raise ValueError("these are not the tracks of the filtration")
+        self._check_tracks(tracks)
         if limit < 1:
             raise ValueError(f"limit must be at least 1, got {limit}")
         members = self.members(c)
@@ -293,6 +293,22 @@ class Filtration:
             members = members[np.linspace(0, len(members) - 1, limit).round().astype(np.int64)]
         members = np.sort(members)
         return int(members[np.argmin(frechet_matrix(tracks.select(members)).sum(axis=1))])
+
+    def query(
+        self, track: ArrayLike, tracks: Tracks, *, within: float | None = None, k: int | None = None
+    ) -> tuple[Ints, Floats]:
+        """The tracks near a track that need not be one of them: all within so many metres, or the k nearest.
+
+        Args:
+            track: ``(n, d)`` positions, in the plane of the tracks.
+            tracks: those the filtration was built from. Their boxes are kept for the next query.
+            within, k, returns, raises: as ``TrackIndex.query``, which serves tracks without a filtration.
+        """
+        self._check_tracks(tracks)
+        index = self.__dict__.get("_searched")
+        if index is None or index.tracks is not tracks:
+            index = self.__dict__["_searched"] = TrackIndex(tracks)
+        return index.query(track, within=within, k=k)
 
     # A useful handful of levels
 
@@ -361,6 +377,10 @@ class Filtration:
     @cached_property
     def _range_maxima(self) -> Floats:
         return dendrogram.range_maxima(self.gaps)
+
+    def _check_tracks(self, tracks: Tracks) -> None:
+        if len(tracks) != len(self) or not np.array_equal(tracks.ids, self.ids):
+            raise ValueError("these are not the tracks of the filtration")
 
     def _check(self, c: int) -> None:
         if not 0 <= c <= self.root:

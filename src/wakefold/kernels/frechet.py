@@ -168,3 +168,33 @@ def pairs_of_tracks(points, offsets, first, second, axes, out):
         batch_squared(a, rows, b, columns, table, axes)
         for k in range(start, stop):
             out[k] = np.sqrt(table[(columns - 1) * lanes + k - start])
+
+
+@njit(cache=True, nogil=True)
+def track_against_tracks(track, points, offsets, others, axes, out):
+    """Fréchet distances of one track to listed others.
+
+    Args:
+        track: ``(n, d)`` points.
+        points, offsets: ragged tracks.
+        others: ``(m,)`` tracks; no padding is wasted if neighbours in the list are of similar lengths.
+        axes: tuple of d integers.
+        out: ``(m,)`` distances.
+    """
+    d = points.shape[1]
+    lanes = lanes_of(points)
+    rows = (len(track) + TILE - 1) // TILE * TILE
+    a = np.empty(rows * d * lanes, points.dtype)
+    for lane in range(lanes):
+        pack(track, 0, len(track), rows, a, lane)
+    widest = longest(offsets, others, 0, len(others))
+    b, table = np.empty(widest * d * lanes, points.dtype), np.empty(widest * lanes, points.dtype)
+    for start in range(0, len(others), lanes):
+        stop = min(start + lanes, len(others))
+        columns = longest(offsets, others, start, stop)
+        for lane in range(lanes):
+            other = others[min(start + lane, stop - 1)]
+            pack(points, offsets[other], offsets[other + 1], columns, b, lane)
+        batch_squared(a, rows, b, columns, table, axes)
+        for k in range(start, stop):
+            out[k] = np.sqrt(table[(columns - 1) * lanes + k - start])

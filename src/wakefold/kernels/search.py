@@ -1,0 +1,60 @@
+"""Tracks that could be near a given one: descending the boxes of ``wakefold.features``."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from wakefold.kernels.features import ORDERED
+
+
+@njit(cache=True, nogil=True, fastmath=ORDERED)
+def gap_squared(queries, q, low, high, n, d, limit):
+    """Squared lower bound of the distance of query q to box n; from the limit on it may be too low."""
+    worst = np.float32(0.0)
+    for end in range(0, 2 * d, d):
+        total = np.float32(0.0)
+        for k in range(end, end + d):
+            g = max(np.float32(0.0), max(low[n, k] - queries[q, k], queries[q, k] - high[n, k]))
+            total += g * g
+        worst = max(worst, total)
+    if worst >= limit:
+        return worst
+    widest = np.float32(0.0)
+    for k in range(2 * d, low.shape[1]):
+        widest = max(widest, max(low[n, k] - queries[q, k], queries[q, k] - high[n, k]))
+    return max(worst, widest * widest)
+
+
+@njit(cache=True, nogil=True)
+def near(queries, q, features, bounds, low, high, d, limit, rows, squares):
+    """Tracks with a squared bound below the limit.
+
+    Args:
+        queries: ``(Q, F)`` features.
+        q: the query.
+        features, bounds, low, high: of the tracks searched, see ``wakefold.features.Boxes``.
+        d: coordinates of a point.
+        limit: square of a lower bound, in units of the features.
+        rows, squares: ``(M,)`` written: tracks in box order and the squares of their bounds.
+
+    Returns:
+        number of tracks found.
+    """
+    inner = len(bounds) - 2
+    stack, top, count = np.zeros(64, np.int64), 1, 0
+    while top > 0:
+        top -= 1
+        n = stack[top]
+        if gap_squared(queries, q, low, high, n, d, limit) >= limit:
+            continue
+        if n < inner:
+            stack[top], stack[top + 1] = 2 * n + 1, 2 * n + 2
+            top += 2
+            continue
+        for x in range(bounds[n - inner], bounds[n - inner + 1]):
+            square = gap_squared(queries, q, features, features, x, d, limit)
+            if square < limit:
+                rows[count], squares[count] = x, square
+                count += 1
+    return count
