@@ -1,11 +1,20 @@
-"""Pieces of work on threads: in order, and the first error ends the rest."""
+"""Pieces of work on threads and on Ray: in order, and the first error ends the rest."""
 
+import os
+import secrets
+import signal
+import sys
 import threading
 import time
+import warnings
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from wakefold.parallel import cores, thread_map
+from wakefold.parallel import Ray, Threads, cores, thread_map
+from wakefold.spanning import spanning_tree
+from wakefold.tracks import Tracks
 
 
 @pytest.mark.parametrize("threads", [None, 1, 3])
@@ -46,3 +55,96 @@ def test_nonsense_is_refused():
     assert cores() >= 1
     with pytest.raises(ValueError, match="threads must be at least 1"):
         thread_map(abs, [1], threads=0)
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_an_executor_of_threads_lends_arrays_it_protects(threads):
+    executor = Threads(threads)
+    lent = executor.share(np.array([5]))
+    assert executor.map(lambda x, offset: x * x + offset[0], range(4), (lent,)) == [5, 6, 9, 14]
+    with pytest.raises(ValueError, match="read-only"):
+        lent[0] = 0
+
+
+def test_an_error_does_not_wait_for_the_piece_at_work():
+    release = threading.Event()
+
+    def work(x):
+        if x == 1:
+            raise ZeroDivisionError
+        release.wait(timeout=60)
+
+    try:
+        with pytest.raises(ZeroDivisionError):
+            thread_map(work, range(2), threads=2)
+        assert not release.is_set()
+    finally:
+        release.set()
+
+
+def test_ray_says_what_it_lacks(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(ImportError, match=r"pip install 'wakefold\[ray\]'"):
+        Ray()
+    monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(is_initialized=lambda: False))
+    with pytest.raises(RuntimeError, match=r"ray.init\(\)"):
+        Ray()
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """A Ray cluster of two workers on this machine, reached by nobody else."""
+    ray = pytest.importorskip("ray")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        patch.setenv("RAY_AUTH_TOKEN", secrets.token_hex(32))
+        # Tests turn some warnings into errors; those of Ray are not ours.
+        with warnings.catch_warnings(action="ignore"):
+            ray.init("local", num_cpus=2, include_dashboard=False, log_to_driver=False, object_store_memory=200 << 20)
+        yield Ray()
+        ray.shutdown()
+
+
+def test_ray_maps_in_order(cluster):
+    def square(x, offset):  # here, since the workers cannot import the tests
+        return x * x + offset[0]
+
+    seen = []
+    lent = cluster.share(np.array([5]))
+    assert cluster.map(square, range(4), (lent,), seen.append) == [5, 6, 9, 14]
+    assert seen == [0.25, 0.5, 0.75, 1]
+    assert cluster.map(square, [], (lent,)) == []
+    with pytest.raises(TypeError):
+        cluster.map(square, ["five"], (lent,))
+
+
+def test_the_tree_survives_the_death_of_a_worker(cluster, tmp_path):
+    """Of the many pieces of a fit, one of the search and one of the distances kill the process that runs them."""
+    killed = []
+
+    class Deadly(Ray):
+        def map(self, f, items, shared=(), progress=None):
+            mark = str(tmp_path / f.__name__)
+            if os.path.exists(mark):
+                return super().map(f, items, shared, progress)
+            killed.append(f.__name__)
+            last = len(items) - 1
+
+            def deadly(item, *rest):
+                number, piece = item
+                if number == last and not os.path.exists(mark):
+                    open(mark, "x").close()
+                    os.kill(os.getpid(), signal.SIGKILL)
+                return f(piece, *rest)
+
+            return super().map(deadly, list(enumerate(items)), shared, progress)
+
+    rng = np.random.default_rng(0)
+    walks = [np.cumsum(rng.normal(size=(n, 2)), axis=0) for n in rng.integers(1, 60, 3000)]
+    tracks = Tracks.from_arrays(walks)
+    edges, heights = spanning_tree(tracks)
+    by_ray = spanning_tree(tracks, executor=Deadly())
+    np.testing.assert_array_equal(by_ray[0], edges)
+    np.testing.assert_array_equal(by_ray[1], heights)
+    assert killed == ["_search", "_measure"]
+    assert len(os.listdir(tmp_path)) == 2

@@ -1,13 +1,18 @@
 """The minimum spanning tree without the matrix: the same tree as with it, and bounds that bound."""
 
+import signal
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from wakefold import filtration, spanning
+from wakefold import filtration, spanning, store
 from wakefold.dendrogram import leaf_order
 from wakefold.distance import frechet_matrix
+from wakefold.features import MARGIN, boxes_of, features_of, frame_of
 from wakefold.filtration import Filtration
 from wakefold.spanning import spanning_tree
 from wakefold.tracks import Tracks
@@ -126,7 +131,8 @@ def test_features_never_promise_too_much(dim):
             arrays = [offset + scale * track for track in kind(rng, 40, dim)]
             arrays += [np.nextafter(track, np.inf) for track in arrays[:10]]
             tracks = Tracks.from_arrays(arrays)
-            boxes, unit = spanning._boxes_of(tracks, threads=1)
+            frame = frame_of(tracks.points)
+            boxes, unit = boxes_of(features_of(tracks, frame, 1)), frame.unit
             assert tracks.diagonal <= unit
             f = boxes.features.astype(np.float64) * unit
             gap = np.abs(f[:, None] - f[None])
@@ -136,12 +142,12 @@ def test_features_never_promise_too_much(dim):
             closest = max(closest, float((bound - distance).max() / unit))
             if kind is two_hubs:
                 assert (bound > distance / 3)[distance > 0.1 * distance.max()].mean() > 0.5  # and they are worth having
-    assert spanning.MARGIN / 50 < closest < spanning.MARGIN
+    assert MARGIN / 50 < closest < MARGIN
 
 
 @pytest.mark.parametrize("count", [2, 9, 100, 3000])
 def test_tiles_hold_every_pair_of_tracks_once(count):
-    boxes = spanning._divide(np.random.default_rng(7).normal(size=(count, 4)).astype(np.float32))
+    boxes = boxes_of(np.random.default_rng(7).normal(size=(count, 4)).astype(np.float32))
     inner = len(boxes.bounds) - 2
     seen = np.zeros((count, count), dtype=np.int8)
     for tile in spanning._tiles(boxes, pieces=16):
@@ -153,24 +159,6 @@ def test_tiles_hold_every_pair_of_tracks_once(count):
             tracks.append(slice(boxes.bounds[first - inner], boxes.bounds[last - inner + 1]))
         seen[tracks[0], tracks[1]] += 1
     assert (seen[np.triu_indices(count, 1)] == 1).all()
-
-
-def test_boxes_hold_their_tracks():
-    rng = np.random.default_rng(3)
-    boxes = spanning._divide(rng.normal(size=(1000, 6)).astype(np.float32))
-    np.testing.assert_array_equal(np.sort(boxes.order), np.arange(1000))
-    sizes = np.diff(boxes.bounds)
-    assert sizes.max() <= spanning.LEAF
-    assert sizes.min() >= 1
-    leaves = len(sizes)
-    assert len(boxes.low) == 2 * leaves - 1
-    for leaf in range(leaves):
-        inside = boxes.features[boxes.bounds[leaf] : boxes.bounds[leaf + 1]]
-        np.testing.assert_array_equal(boxes.low[leaves - 1 + leaf], inside.min(axis=0))
-        np.testing.assert_array_equal(boxes.high[leaves - 1 + leaf], inside.max(axis=0))
-    for n in range(leaves - 1):
-        np.testing.assert_array_equal(boxes.low[n], np.minimum(boxes.low[2 * n + 1], boxes.low[2 * n + 2]))
-        np.testing.assert_array_equal(boxes.high[n], np.maximum(boxes.high[2 * n + 1], boxes.high[2 * n + 2]))
 
 
 def test_fit_goes_the_same_way_by_size(monkeypatch):
@@ -190,6 +178,146 @@ def test_progress_rises_to_one():
     spanning_tree(Tracks.from_arrays(clusters(np.random.default_rng(5), 100, 2)), progress=seen.append)
     assert seen[-1] == 1
     assert seen == sorted(seen)
+
+
+def test_the_estimate_of_the_time_left_is_honest(monkeypatch):
+    """By a clock of our own, with the seconds and tracks of a fit of 100,000 pedestrians."""
+    seconds = [0.27, 0.34, 0.71, 0.8, 0.76, 0.47, 0.35, 0.3, 0.22, 0.19, 0.35]
+    apart = [1, 0.94, 0.83, 0.44, 0.09, 0.016, 0.006, 0.002, 8e-4, 3e-4, 1e-4]
+    now = 0.0
+    monkeypatch.setattr(spanning, "monotonic", lambda: now)
+    shown, when = [], []
+    estimate = spanning.Estimate(lambda share: (shown.append(share), when.append(now)))
+    now = 0.68
+    for radius, cost in enumerate(seconds):
+        estimate.radius(np.inf if radius < 7 else len(seconds) - 1 - radius, apart[radius])
+        for step in range(1, 101):
+            now += cost / 100
+            estimate.show(step / 100)
+    assert shown == sorted(shown)
+    assert shown[-1] == 1
+    passed, share = np.array(when), np.array(shown)
+    assert np.abs(share - passed / now).max() < 0.2
+    early = passed < 0.9 * now
+    factor = (
+        ((passed / share - passed)[early]) / (now - passed)[early]
+    )  # the time left by the share shown, and in truth
+    assert factor.min() > 0.5
+    assert factor.max() < 2.2
+
+
+def interrupted_at(call):
+    """A progress that is interrupted when it is called for so many-th time."""
+    calls = 0
+
+    def progress(share):
+        nonlocal calls
+        calls += 1
+        if calls == call:
+            raise KeyboardInterrupt
+
+    return progress
+
+
+@pytest.mark.parametrize("kind", [clusters, on_a_grid])
+def test_an_interrupted_run_goes_on_from_its_checkpoint(kind, tmp_path, monkeypatch):
+    monkeypatch.setattr(spanning, "ROOM", 500)  # so that a radius has several checkpoints
+    tracks = Tracks.from_arrays(kind(np.random.default_rng(8), 800, 2))
+    measured = []
+    measure = spanning._measure
+    monkeypatch.setattr(spanning, "_measure", lambda pairs, *rest: (measured.append(pairs), measure(pairs, *rest))[1])
+    calls = []
+    whole = leaf_order(*spanning_tree(tracks, progress=calls.append))
+    cost = sum(pairs.shape[1] for pairs in measured)
+    for call in (1, len(calls) // 3, len(calls) // 2, len(calls) - 1):
+        kept = tmp_path / str(call)
+        with pytest.raises(KeyboardInterrupt):
+            spanning_tree(tracks, threads=1, progress=interrupted_at(call), checkpoint=kept)
+        measured.clear()
+        for found, expected in zip(leaf_order(*spanning_tree(tracks, checkpoint=kept)), whole, strict=True):
+            np.testing.assert_array_equal(found, expected)
+    assert sum(pairs.shape[1] for pairs in measured) < cost / 4  # the last had little left to do
+    measured.clear()
+    np.testing.assert_array_equal(leaf_order(*spanning_tree(tracks, checkpoint=kept))[1], whole[1])
+    assert not measured
+
+
+def test_a_run_interrupted_again_and_again_ends(tmp_path):
+    tracks = Tracks.from_arrays(walks(np.random.default_rng(9), 700, 2, 30))
+    for attempt in range(1000):
+        try:
+            _, heights = spanning_tree(tracks, 1, interrupted_at(40), checkpoint=tmp_path / "kept")
+            break
+        except KeyboardInterrupt:
+            assert attempt < 500
+    assert attempt > 3
+    np.testing.assert_array_equal(heights, spanning_tree(tracks)[1])
+
+
+def test_checkpoints_of_others_are_refused(tmp_path):
+    tracks = Tracks.from_arrays(walks(np.random.default_rng(10), 60, 2, 9))
+    kept = tmp_path / "kept"
+    spanning_tree(tracks, checkpoint=kept)
+    for other in (tracks.select(np.arange(59)), tracks.select(np.arange(60)[::-1])):
+        with pytest.raises(ValueError, match="checkpoint of other tracks"):
+            spanning_tree(other, checkpoint=kept)
+    arrays, meta = store.load(kept, spanning.KIND)
+    first, heights = arrays["first"], arrays["heights"]
+    for wrong in (
+        {"first": first + 60},
+        {"first": first[1:]},
+        {"first": first.astype(float)},
+        {"heights": heights - 1e9},
+        {"heights": np.full_like(heights, np.nan)},
+        {"heights": heights.astype(np.float32)},
+    ):
+        store.save(tmp_path / "forged", {**arrays, **wrong}, meta, spanning.KIND)
+        with pytest.raises(store.StoreError, match="not a forest of these tracks"):
+            spanning_tree(tracks, checkpoint=tmp_path / "forged")
+    store.save(tmp_path / "forged", dict(arrays), {**meta, "settled": "all"}, spanning.KIND)
+    with pytest.raises(store.StoreError, match="not a forest of these tracks"):
+        spanning_tree(tracks, checkpoint=tmp_path / "forged")
+    (kept / "heights.npy").write_bytes((kept / "heights.npy").read_bytes()[:-1])
+    with pytest.raises(store.StoreError, match="damaged"):
+        spanning_tree(tracks, checkpoint=kept)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(store.StoreError, match="not a stored spanning forest"):
+        spanning_tree(tracks, checkpoint=tmp_path / "empty")
+
+
+LONG_FIT = """
+import numpy as np
+from wakefold.spanning import spanning_tree
+from wakefold.tracks import Tracks
+
+def once(share):
+    global told
+    if not told:
+        print("fitting", flush=True)
+    told = True
+
+told = False
+rng = np.random.default_rng(0)
+tracks = Tracks.from_arrays(list(rng.normal(0, 1, (3000, 1000, 2)) + np.linspace(0, 99, 1000)[:, None]))
+try:
+    spanning_tree(tracks, progress=once)
+    print("done")
+except KeyboardInterrupt:
+    print("interrupted", flush=True)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signal like that of Ctrl-C can be sent to one process")
+def test_ctrl_c_ends_a_fit_of_half_an_hour():
+    process = subprocess.Popen([sys.executable, "-c", LONG_FIT], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    try:
+        assert process.stdout.readline() == "fitting\n"
+        process.send_signal(signal.SIGINT)
+        assert process.communicate(timeout=30)[0] == "interrupted\n"
+        assert process.returncode == 0
+    finally:
+        process.kill()
 
 
 def test_overflow_is_refused():

@@ -1,17 +1,21 @@
-"""Map a function over pieces of work on the cores of this machine.
+"""Map a function over pieces of work: on the cores of this machine, or on a Ray cluster.
 
-Kernels release the interpreter lock, so threads are enough and nothing is copied or pickled.
+On one machine kernels release the interpreter lock, so threads are enough and nothing is copied or pickled. Whatever
+runs a piece, its result is the same: an algorithm is written once, as ``executor.map(f, items, shared)``.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
-from typing import TypeVar
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
 
 T = TypeVar("T")
 R = TypeVar("R")
+Progress = Callable[[float], None]
 
 
 def cores() -> int:
@@ -20,10 +24,7 @@ def cores() -> int:
 
 
 def thread_map(
-    f: Callable[[T], R],
-    items: Sequence[T],
-    threads: int | None = None,
-    progress: Callable[[float], None] | None = None,
+    f: Callable[[T], R], items: Sequence[T], threads: int | None = None, progress: Progress | None = None
 ) -> list[R]:
     """``[f(x) for x in items]`` on several threads, in the order of the items.
 
@@ -33,7 +34,8 @@ def thread_map(
         threads: all cores by default.
         progress: called with the share of the items that is done, in the calling thread.
 
-    The first error (Ctrl-C included) cancels what has not started and is raised when the pieces at work are done.
+    The first error cancels what has not started and is raised at once, Ctrl-C included: pieces then at work run to
+    their end unheeded.
     """
     if threads is None:
         threads = cores()
@@ -46,17 +48,87 @@ def thread_map(
             if progress:
                 progress(done / len(items))
         return results
-    with ThreadPoolExecutor(min(threads, len(items))) as pool:
+    pool = ThreadPoolExecutor(min(threads, len(items)))
+    try:
+        futures = [pool.submit(f, item) for item in items]
+        for done, future in enumerate(as_completed(futures), start=1):
+            future.result()
+            if progress:
+                progress(done / len(items))
+        return [future.result() for future in futures]
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+class Executor(Protocol):
+    """Where pieces of work run."""
+
+    def share(self, array: np.ndarray) -> Any:
+        """Lend an array to all pieces, read-only; what comes back is to be put into ``shared``."""
+        ...
+
+    def map(
+        self, f: Callable[..., R], items: Sequence[Any], shared: tuple = (), progress: Progress | None = None
+    ) -> list[R]:
+        """``[f(x, *shared) for x in items]``; f is a function of a module, so that any machine can find it."""
+        ...
+
+
+class Threads:
+    """Threads of this process, all cores by default."""
+
+    def __init__(self, threads: int | None = None):
+        self.threads = threads
+
+    def share(self, array: np.ndarray) -> np.ndarray:
+        view = array.view()
+        view.flags.writeable = False  # as a worker elsewhere would see it, so kernels are compiled once for both
+        return view
+
+    def map(
+        self, f: Callable[..., R], items: Sequence[Any], shared: tuple = (), progress: Progress | None = None
+    ) -> list[R]:
+        return thread_map(lambda item: f(item, *shared), items, self.threads, progress)
+
+
+class Ray:
+    """The workers of the Ray cluster that ``ray.init`` has connected this process to.
+
+    Shared arrays are put into the object store once and mapped by all workers of a machine. A piece whose worker dies
+    is run again by another, up to three times.
+
+    Raises:
+        ImportError: Ray is not installed.
+        RuntimeError: not connected to a cluster.
+    """
+
+    def __init__(self):
         try:
-            futures = [pool.submit(f, item) for item in items]
-            pending = set(futures)
-            while pending:
-                finished, pending = wait(pending, return_when=FIRST_COMPLETED)
-                for future in finished:
-                    future.result()
+            import ray
+        except ImportError:
+            raise ImportError("Ray is not installed: pip install 'wakefold[ray]'") from None
+        if not ray.is_initialized():
+            raise RuntimeError("not connected to a Ray cluster: call ray.init() first")
+        self._ray = ray
+        self._tasks: dict[Callable, Any] = {}
+
+    def share(self, array: np.ndarray) -> Any:
+        return self._ray.put(array)
+
+    def map(
+        self, f: Callable[..., R], items: Sequence[Any], shared: tuple = (), progress: Progress | None = None
+    ) -> list[R]:
+        if f not in self._tasks:
+            self._tasks[f] = self._ray.remote(max_retries=3)(f)
+        waiting = [self._tasks[f].remote(item, *shared) for item in items]
+        results = []
+        try:
+            for each in waiting:
+                results.append(self._ray.get(each))
                 if progress:
-                    progress(1 - len(pending) / len(items))
-            return [future.result() for future in futures]
+                    progress(len(results) / len(items))
         except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
+            for each in waiting[len(results) :]:
+                self._ray.cancel(each)
             raise
+        return results

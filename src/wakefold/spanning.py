@@ -9,37 +9,33 @@ tree is minimal. docs/filtration.md has the bounds and the proof.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from typing import NamedTuple
+import hashlib
+import math
+import os
+from pathlib import Path
+from time import monotonic
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from wakefold import store
 from wakefold.dendrogram import largest_between, range_maxima
-from wakefold.parallel import thread_map
+from wakefold.features import MARGIN, Boxes, boxes_of, features_of, frame_of
+from wakefold.parallel import Executor, Progress, Threads
 from wakefold.tracks import Floats, Tracks
 
 Ints = NDArray[np.int64]
 Singles = NDArray[np.float32]
+Directory = str | os.PathLike[str]
+KIND = "spanning forest"
 
-LEAF = 8  # tracks in a box that is not divided further, at most
-LANDMARKS = 16
 GROWTH = 1.5  # of the radius; smaller means fewer distances and more searches
 TRACKS = 2048  # tracks to a piece of the search, on average
 ROOM = 1 << 14  # pairs a piece of the search may find before their distances are computed
-PIECE = 1 << 22  # cells of the dynamic programme in one piece of work: a millisecond
-MARGIN = 2.0**-21  # of the unit of features: more than rounding can lift a lower bound, see docs/filtration.md
-
-
-class Boxes(NamedTuple):
-    """A balanced binary tree of boxes in feature space; the halves of box n are 2 n + 1 and 2 n + 2, leaves last."""
-
-    order: Ints  # (M,) tracks such that each box holds a range of them
-    features: Singles  # (M, F) in that order
-    bounds: Ints  # (leaves + 1,) where the leaves' ranges begin
-    low: Singles  # (B, F) corners
-    high: Singles
+PIECE = 1 << 22  # cells of the dynamic programme in one piece of work, at least: a millisecond
+PIECES = 4096  # pieces of work in a batch of distances, at most
+FADE, RISE = 0.75, 3  # of the time each radius takes, see Estimate
 
 
 class Forest(NamedTuple):
@@ -59,47 +55,150 @@ class Forest(NamedTuple):
         return largest_between(self.maxima, np.minimum(i, j), np.maximum(i, j))
 
 
+class Work(NamedTuple):
+    """The tracks, and who computes with them."""
+
+    tracks: Tracks
+    executor: Executor
+    points: Any  # of the tracks, as the executor shares them
+    offsets: Any
+
+
+class Estimate:
+    """Share of the time that has passed, from what is known of the time that is left.
+
+    What is left of a radius is expected to take FADE times what that part of the radius before took, and each radius
+    to come FADE times the one before it; all of these 1 + RISE times as long while no tracks have joined, since radii
+    take longer and longer until most have. How many will come is known once the edges seen join all tracks: the tree
+    needs no radius above the longest of them. FADE and RISE are those of pedestrians, 100,000 and 1,000,000.
+    """
+
+    def __init__(self, progress: Progress | None):
+        self.progress = progress
+        self.begin = self.mark = monotonic()
+        self.last = self.later = self.shown = 0.0
+
+    def radius(self, to_come: float, apart: float) -> None:
+        """A radius begins; ``to_come`` more follow at most (inf: not known); this share of the tracks is not joined."""
+        now = monotonic()
+        self.last, self.mark = now - self.mark, now
+        self.later = (1 + RISE * apart) * FADE * (1 - FADE**to_come) / (1 - FADE)
+
+    def show(self, done: float) -> None:
+        """A share of this radius is done. The share shown never falls."""
+        if self.progress:
+            now = monotonic()
+            rest = (1 - done) * FADE * self.last
+            left = rest + self.later * (now - self.mark + rest)
+            if now > self.begin:
+                self.shown = max(self.shown, (now - self.begin) / (now - self.begin + left))
+            self.progress(self.shown)
+
+
 def spanning_tree(
-    tracks: Tracks, threads: int | None = None, progress: Callable[[float], None] | None = None
+    tracks: Tracks,
+    threads: int | None = None,
+    progress: Progress | None = None,
+    *,
+    executor: Executor | None = None,
+    checkpoint: Directory | None = None,
 ) -> tuple[Ints, Floats]:
     """A minimum spanning tree: edges ``(M - 1, 2)`` and heights ``(M - 1,)``, rising, the bits of ``frechet_matrix``.
 
     Args:
         tracks: two or more.
-        threads: all cores by default; the tree does not depend on it.
-        progress: called with the share of the tracks that have joined.
+        threads: of this machine, all cores by default; the tree does not depend on it.
+        progress: called with the share of the time estimated to have passed, 0 to 1, never falling.
+        executor: where searches and distances run, these threads by default; the tree does not depend on it.
+        checkpoint: directory that keeps the edges known, renewed many times in each radius. If it is there, the work
+            goes on from it; the heights, and so the classes, are those of a run that was never interrupted.
 
     Raises:
-        ValueError: positions so far apart that a distance overflows.
+        ValueError: positions so far apart that a distance overflows; a checkpoint that is damaged or of other tracks.
     """
     from wakefold.kernels.frechet_tree import label_boxes
 
+    estimate = Estimate(progress)
     count = len(tracks)
-    boxes, unit = _boxes_of(tracks, threads)
+    frame = frame_of(tracks.points)
+    boxes, unit = boxes_of(features_of(tracks, frame, threads)), frame.unit
     margin = MARGIN * unit
-    forest = _grow(None, np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), count)
+    fingerprint = _fingerprint(tracks) if checkpoint is not None else ""
+    forest, settled = _begin(checkpoint, fingerprint, boxes.order)
+    executor = executor or Threads(threads)
+    share = executor.share
+    work = Work(tracks, executor, share(tracks.points), share(tracks.offsets))
+    shape = tuple(map(share, (boxes.features, boxes.bounds, boxes.low, boxes.high)))
     part, box_part = np.arange(count), np.empty(len(boxes.low), dtype=np.int64)
     pieces = max(16, count // TRACKS)
     neighbours = np.abs(np.diff(boxes.features, axis=0)).max(axis=1)
-    radius = max(unit * float(np.quantile(neighbours, 0.25)) / 2, margin)
-    settled, done = 0.0, np.float32(0)  # pairs with a lower bound under `settled` metres have been dealt with
-    while True:
+    first_radius = max(unit * float(np.quantile(neighbours, 0.25)) / 2, margin)
+    done = np.float32(0)  # pairs with a lower bound under `settled` metres, squared and in units, have been dealt with
+    while (joined := np.searchsorted(forest.heights, settled, side="right")) < count - 1:
+        radius = settled * GROWTH if settled else first_radius
         limit = np.nextafter(np.float32(((radius + margin) / unit) ** 2), np.float32(np.inf))
+        estimate.radius(_radii_above(radius, forest), 1 - joined / (count - 1))
         tiles = _tiles(boxes, pieces)
         while len(tiles):
             part[forest.order] = np.concatenate([[0], np.cumsum(forest.gaps > settled)])
             label_boxes(part, boxes.bounds, box_part)
-            search = partial(_search, boxes, part, box_part, tracks.dim, done, limit)
-            found = thread_map(search, [tiles[k::pieces] for k in range(min(pieces, len(tiles)))], threads)
+            shared = (*shape, share(part), share(box_part), tracks.dim, done, limit)
+            dealt = [tiles[k::pieces] for k in range(min(pieces, len(tiles)))]
+            found = executor.map(_search, dealt, shared, lambda p: estimate.show(p / 2))
             tiles, a, b, square = map(np.concatenate, zip(*found, strict=True))
             bound = np.maximum(np.sqrt(square.astype(np.float64)) * unit - margin, 0.0)
-            forest = _evaluate(tracks, boxes.order, a, b, bound, forest, threads)
-        joined = int(np.searchsorted(forest.heights, radius, side="right"))
-        if progress:
-            progress(joined / (count - 1))
-        if joined == count - 1:
-            return boxes.order[np.stack([forest.first, forest.second], axis=1)], forest.heights
-        settled, done, radius = radius, limit, radius * GROWTH
+            forest = _evaluate(work, boxes.order, a, b, bound, forest, lambda p: estimate.show(0.5 + p / 2))
+            if checkpoint is not None:
+                _keep(checkpoint, fingerprint, boxes.order, forest, settled)
+        settled, done = radius, limit
+    if checkpoint is not None:
+        _keep(checkpoint, fingerprint, boxes.order, forest, settled)
+    if progress:
+        progress(1.0)
+    return boxes.order[np.stack([forest.first, forest.second], axis=1)], forest.heights
+
+
+def _radii_above(radius: float, forest: Forest) -> float:
+    """Radii to come after this one, at most; inf while the forest does not join all tracks."""
+    if len(forest.heights) < len(forest.order) - 1:
+        return math.inf
+    return max(0, math.ceil(math.log(forest.heights[-1] / radius) / math.log(GROWTH)))
+
+
+def _fingerprint(tracks: Tracks) -> str:
+    """SHA-256 of where the tracks run."""
+    digest = hashlib.sha256(repr((tracks.points.shape, tracks.offsets.shape)).encode())
+    for array in (tracks.points, tracks.offsets):
+        digest.update(np.ascontiguousarray(array).data)
+    return digest.hexdigest()
+
+
+def _keep(directory: Directory, fingerprint: str, order: Ints, forest: Forest, settled: float) -> None:
+    """Write the forest, its tracks numbered as given, and the radius it is complete for."""
+    arrays = {"first": order[forest.first], "second": order[forest.second], "heights": forest.heights}
+    store.save(directory, arrays, {"tracks": fingerprint, "settled": settled}, KIND)
+
+
+def _begin(directory: Directory | None, fingerprint: str, order: Ints) -> tuple[Forest, float]:
+    """The forest and radius that ``_keep`` wrote; without a directory to read, no edges and 0."""
+    count, settled = len(order), 0.0
+    first, second, heights = np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0)
+    if directory is not None and Path(directory).exists():
+        arrays, meta = store.load(directory, KIND)
+        if meta.get("tracks") != fingerprint:
+            raise ValueError(f"{os.fspath(directory)} is a checkpoint of other tracks")
+        place = np.empty(count, dtype=np.int64)
+        place[order] = np.arange(count)
+        try:
+            first, second, heights = place[arrays["first"]], place[arrays["second"]], np.array(arrays["heights"])
+            settled = float(meta["settled"])
+            sound = first.shape == second.shape == heights.shape == (heights.size,) and heights.dtype == np.float64
+            sound = sound and bool((heights >= 0).all() and np.isfinite(heights).all() and 0 <= settled < np.inf)
+        except (KeyError, IndexError, TypeError, ValueError):
+            sound = False
+        if not sound:
+            raise store.StoreError(f"{os.fspath(directory)} is damaged: not a forest of these tracks")
+    return _grow(None, first, second, heights, count), settled
 
 
 def _tiles(boxes: Boxes, pieces: int) -> Ints:
@@ -112,22 +211,29 @@ def _tiles(boxes: Boxes, pieces: int) -> Ints:
 
 
 def _search(
-    boxes: Boxes, part: Ints, box_part: Ints, dim: int, done: np.float32, limit: np.float32, tiles: Ints
+    tiles: Ints,
+    features: Singles,
+    bounds: Ints,
+    low: Singles,
+    high: Singles,
+    part: Ints,
+    box_part: Ints,
+    dim: int,
+    done: np.float32,
+    limit: np.float32,
 ) -> tuple[Ints, Ints, Ints, Singles]:
     """What is left of the tiles when there is no more room, and the pairs found: first, second, square of the bound."""
     from wakefold.kernels.frechet_tree import close_pairs
 
-    stack = np.empty((len(tiles) + 4 * len(boxes.low).bit_length(), 2), dtype=np.int64)
+    stack = np.empty((len(tiles) + 4 * len(low).bit_length(), 2), dtype=np.int64)
     stack[: len(tiles)] = tiles
     a, b, square = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64), np.empty(ROOM, np.float32)
-    shape = boxes.features, part, boxes.bounds, boxes.low, boxes.high, box_part
+    shape = features, part, bounds, low, high, box_part
     top, n = close_pairs(*shape, dim, done, limit, stack, len(tiles), a, b, square)
     return stack[:top].copy(), a[:n].copy(), b[:n].copy(), square[:n].copy()
 
 
-def _evaluate(
-    tracks: Tracks, order: Ints, a: Ints, b: Ints, bound: Floats, forest: Forest, threads: int | None
-) -> Forest:
+def _evaluate(work: Work, order: Ints, a: Ints, b: Ints, bound: Floats, forest: Forest, progress: Progress) -> Forest:
     """The forest with all pairs that could improve it, smallest lower bound first.
 
     Args:
@@ -137,40 +243,47 @@ def _evaluate(
     """
     by = np.argsort(bound, kind="stable")
     a, b, bound = a[by], b[by], bound[by]
-    size = max(512, len(order) // 8)
+    every, size = len(a), max(512, len(order) // 8)
+
+    def tell(share: float) -> None:
+        """Of the batch at work."""
+        progress(1 - (len(a) - share * min(size, len(a))) / every)
+
     while True:
         # What the forest joins at or below the lower bound of a pair, the pair cannot join earlier.
         useful = forest.joined_at(a, b) > bound
         a, b, bound = a[useful], b[useful], bound[useful]
         if len(a) == 0:
             return forest
-        heights = _distances(tracks, order[a[:size]], order[b[:size]], threads)
+        heights = _distances(work, order[a[:size]], order[b[:size]], tell)
         forest = _grow(forest, a[:size], b[:size], heights, len(order))
         a, b, bound = a[size:], b[size:], bound[size:]
         size += size // 2
 
 
-def _distances(tracks: Tracks, a: Ints, b: Ints, threads: int | None) -> Floats:
+def _distances(work: Work, a: Ints, b: Ints, progress: Progress) -> Floats:
     """Fréchet distances ``(n,)`` of pairs of tracks."""
-    from wakefold.kernels.frechet import pairs_of_tracks
-
-    lengths = tracks.lengths
+    lengths = work.tracks.lengths
     swap = lengths[a] < lengths[b]
     a, b = np.where(swap, b, a), np.where(swap, a, b)
     by = np.lexsort((lengths[b], lengths[a]))  # lanes of a batch get tracks of about the same lengths
-    a, b = a[by], b[by]
-    found = np.empty(len(a))
-    cells = np.cumsum(lengths[a] * lengths[b])
-    pieces = np.split(np.arange(len(a)), np.flatnonzero(np.diff(cells // PIECE)) + 1)
-    axes = (0,) * tracks.dim
+    pairs = np.stack([a[by], b[by]])
+    cells = np.cumsum(lengths[pairs[0]] * lengths[pairs[1]])
+    piece = cells // max(PIECE, cells[-1] // PIECES)
+    pieces = np.split(pairs, np.flatnonzero(np.diff(piece)) + 1, axis=1)
+    found = work.executor.map(_measure, pieces, (work.points, work.offsets), progress)
+    out = np.empty(len(by))
+    out[by] = np.concatenate(found)
+    return out
 
-    def work(piece: Ints) -> None:
-        part = slice(piece[0], piece[-1] + 1)
-        pairs_of_tracks(tracks.points, tracks.offsets, a[part], b[part], axes, found[part])
 
-    thread_map(work, pieces, threads)
-    out = np.empty(len(a))
-    out[by] = found
+def _measure(pairs: Ints, points: Floats, offsets: Ints) -> Floats:
+    """Fréchet distances of pairs ``(2, n)`` of tracks, those of similar lengths beside one another."""
+    from wakefold.kernels.frechet import pairs_of_tracks
+
+    first, second = pairs.copy()  # contiguous, and writeable wherever this runs: the kernel is compiled for one type
+    out = np.empty(len(first))
+    pairs_of_tracks(points, offsets, first, second, (0,) * points.shape[1], out)
     return out
 
 
@@ -189,69 +302,3 @@ def _grow(forest: Forest | None, first: Ints, second: Ints, heights: Floats, cou
     grow_forest(first, second, heights, taken, order, gaps)
     rank[order] = np.arange(count)
     return Forest(first[taken], second[taken], heights[taken], order, gaps, rank, range_maxima(gaps))
-
-
-def _boxes_of(tracks: Tracks, threads: int | None) -> tuple[Boxes, float]:
-    """Boxes of the tracks in feature space, and the unit of the features, metres: a power of two above the diagonal."""
-    from wakefold.kernels.frechet_tree import track_features
-
-    low, high = (np.array([reduce(axis) for axis in tracks.points.T]) for reduce in (np.min, np.max))
-    middle = low / 2 + high / 2
-    with np.errstate(over="ignore"):
-        square = float(((high - low) ** 2).sum())
-    if not np.isfinite(square):
-        raise ValueError("the tracks are too far apart: a distance overflows")
-    unit = float(np.ldexp(1.0, np.frexp(np.sqrt(square))[1]))
-    directions = _directions(tracks.dim)
-    landmarks = (_landmarks(tracks.points) - middle) / unit
-    out = np.empty((len(tracks), 2 * tracks.dim + 2 * len(directions) + len(landmarks)), dtype=np.float32)
-    pieces = np.unique(np.linspace(0, len(tracks), 65).astype(np.int64))
-
-    def work(piece: tuple[int, int]) -> None:
-        track_features(tracks.points, tracks.offsets, middle, 1 / unit, directions, landmarks, *piece, out)
-
-    thread_map(work, list(zip(pieces[:-1].tolist(), pieces[1:].tolist(), strict=True)), threads)
-    return _divide(out), unit
-
-
-def _directions(dim: int) -> Floats:
-    """Unit vectors ``(n, dim)`` spread over half of all directions."""
-    if dim == 2:
-        angle = np.arange(8) * (np.pi / 8)
-        return np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    # From the centre of a cube to its faces, edges and corners.
-    grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
-    half = grid[len(grid) // 2 + 1 :]
-    return half / np.linalg.norm(half, axis=1, keepdims=True)
-
-
-def _landmarks(points: Floats) -> Floats:
-    """Points far from one another, ``(n, d)``: each the furthest from those before it, among a sample."""
-    sample = points[:: -(-len(points) // 4096)]
-    chosen = [sample.mean(axis=0)]
-    distance = np.full(len(sample), np.inf)
-    for _ in range(LANDMARKS - 1):
-        distance = np.minimum(distance, ((sample - chosen[-1]) ** 2).sum(axis=1))
-        chosen.append(sample[distance.argmax()])
-    return np.array(chosen)
-
-
-def _divide(features: Singles) -> Boxes:
-    """Halve the tracks at the median of their widest feature, again and again."""
-    from wakefold.kernels.frechet_tree import corners
-
-    count = len(features)
-    order, bounds = np.arange(count), np.array([0, count])
-    lows, highs = [], []
-    while True:
-        low, high = np.empty((2, len(bounds) - 1, features.shape[1]), dtype=np.float32)
-        corners(features, bounds, low, high)
-        lows.append(low)
-        highs.append(high)
-        if np.diff(bounds).max() <= LEAF:
-            return Boxes(order, features, bounds, np.concatenate(lows), np.concatenate(highs))
-        widest = np.repeat((high - low).argmax(axis=1), np.diff(bounds))
-        box = np.repeat(np.arange(len(low)), np.diff(bounds))
-        by = np.lexsort((features[np.arange(count), widest], box))
-        order, features = order[by], features[by]
-        bounds = np.sort(np.concatenate([bounds, (bounds[:-1] + bounds[1:]) // 2]))

@@ -1,52 +1,11 @@
-"""Which pairs of tracks can matter for the minimum spanning tree: lower bounds, boxes of tracks, a growing forest."""
+"""Which pairs of tracks can matter for the minimum spanning tree: pairs of boxes of tracks, and a growing forest."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
 
-# There is no NaN here, and knowing that lets LLVM vectorise a maximum.
-ORDERED = {"nnan", "nsz"}
-
-
-@njit(cache=True, nogil=True)
-def track_features(points, offsets, middle, scale, directions, landmarks, first, last, out):
-    """Features of tracks whose differences bound the Fréchet distance from below, see ``wakefold.spanning``.
-
-    Args:
-        points, offsets: ragged tracks.
-        middle, scale: features are those of ``(points - middle) * scale``.
-        directions: ``(u, d)`` unit vectors.
-        landmarks: ``(z, d)`` places, moved and scaled like the points.
-        first, last: tracks to do.
-        out: ``(M, 2 d + 2 u + z)``: first point, last point, reach along and against each direction, distance to each
-            landmark.
-    """
-    d, directed = points.shape[1], len(directions)
-    at = np.empty(d)
-    for track in range(first, last):
-        for f in range(2 * d, out.shape[1]):
-            out[track, f] = -np.inf if f < 2 * d + 2 * directed else np.inf
-        for row in range(offsets[track], offsets[track + 1]):
-            for k in range(d):
-                at[k] = (points[row, k] - middle[k]) * scale
-                if row == offsets[track]:
-                    out[track, k] = at[k]
-                out[track, d + k] = at[k]
-            for u in range(directed):
-                along = 0.0
-                for k in range(d):
-                    along += at[k] * directions[u, k]
-                f = 2 * d + 2 * u
-                out[track, f], out[track, f + 1] = max(out[track, f], along), max(out[track, f + 1], -along)
-            for z in range(len(landmarks)):
-                square = 0.0
-                for k in range(d):
-                    square += (at[k] - landmarks[z, k]) ** 2
-                f = 2 * d + 2 * directed + z
-                out[track, f] = min(out[track, f], square)
-        for f in range(2 * d + 2 * directed, out.shape[1]):
-            out[track, f] = np.sqrt(out[track, f])
+from wakefold.kernels.features import ORDERED
 
 
 @njit(cache=True, nogil=True)
@@ -94,17 +53,6 @@ def grow_forest(first, second, heights, taken, order, gaps):
                 rank += 1
 
 
-@njit(cache=True, nogil=True, fastmath=ORDERED)
-def corners(features, bounds, low, high):
-    """Corners ``(n, F)`` of boxes around the tracks ``bounds[k]:bounds[k + 1]``, none of them empty."""
-    for k in range(len(bounds) - 1):
-        for f in range(features.shape[1]):
-            low[k, f] = high[k, f] = features[bounds[k], f]
-        for x in range(bounds[k] + 1, bounds[k + 1]):
-            for f in range(features.shape[1]):
-                low[k, f], high[k, f] = min(low[k, f], features[x, f]), max(high[k, f], features[x, f])
-
-
 @njit(cache=True, nogil=True)
 def label_boxes(part, bounds, box_part):
     """Part of each box whose tracks are all of one part, -1 for the others.
@@ -149,7 +97,7 @@ def close_pairs(features, part, bounds, low, high, box_part, d, done, limit, sta
     """Pairs of tracks of different parts with ``done <= bound < limit``, as many as there is room for.
 
     Args:
-        features: ``(M, F)`` see ``wakefold.spanning``; tracks in box order.
+        features: ``(M, F)`` see ``wakefold.features``; tracks in box order.
         part: ``(M,)`` labels.
         bounds, low, high, box_part: tracks of the leaf boxes, corners ``(B, F)`` and parts of all boxes.
         d: coordinates of a point.
