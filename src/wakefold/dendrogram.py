@@ -52,13 +52,14 @@ def classes(order: Ints, rank: Ints, gaps: Floats) -> dict[str, NDArray]:
 
 def range_maxima(gaps: Floats) -> Floats:
     """Sparse table ``(log2 M, M - 1)`` for ``largest_between``: row k holds the maxima of 2^k neighbouring gaps."""
-    rows = [gaps if len(gaps) else np.zeros(1)]
-    while 1 << len(rows) <= len(gaps):
-        half = 1 << (len(rows) - 1)
-        row = rows[-1].copy()
-        row[:-half] = np.maximum(row[:-half], rows[-1][half:])
-        rows.append(row)
-    return np.stack(rows)
+    width = max(len(gaps), 1)
+    table = np.zeros((width.bit_length(), width))
+    table[0, : len(gaps)] = gaps
+    for k in range(1, len(table)):
+        half = 1 << (k - 1)
+        np.maximum(table[k - 1, :-half], table[k - 1, half:], out=table[k, :-half])
+        table[k, -half:] = table[k - 1, -half:]
+    return table
 
 
 def largest_between(maxima: Floats, i: Ints, j: Ints) -> Floats:
