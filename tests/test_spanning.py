@@ -14,6 +14,7 @@ from wakefold.dendrogram import leaf_order
 from wakefold.distance import frechet_matrix
 from wakefold.features import MARGIN, boxes_of, features_of, frame_of
 from wakefold.filtration import Filtration
+from wakefold.parallel import Threads
 from wakefold.spanning import spanning_tree
 from wakefold.tracks import Tracks
 
@@ -173,6 +174,20 @@ def test_fit_goes_the_same_way_by_size(monkeypatch):
         Filtration.fit(tracks, linkage="complete")
 
 
+def test_fit_by_executor_and_checkpoint(tmp_path):
+    tracks = Tracks.from_arrays(on_a_grid(np.random.default_rng(11), 200, 2))
+    expected = Filtration.fit(tracks)
+    with pytest.raises(KeyboardInterrupt):
+        Filtration.fit(tracks, checkpoint=tmp_path / "kept", progress=interrupted_at(30))
+    assert (tmp_path / "kept").is_dir()
+    for options in ({"executor": Threads(2)}, {"checkpoint": tmp_path / "kept"}):
+        found = Filtration.fit(tracks, **options)
+        np.testing.assert_array_equal(found.order, expected.order)
+        np.testing.assert_array_equal(found.gaps, expected.gaps)
+        with pytest.raises(ValueError, match="complete linkage runs on the threads of this machine"):
+            Filtration.fit(tracks, "complete", **options)
+
+
 def test_progress_rises_to_one():
     seen = []
     spanning_tree(Tracks.from_arrays(clusters(np.random.default_rng(5), 100, 2)), progress=seen.append)
@@ -287,6 +302,7 @@ def test_checkpoints_of_others_are_refused(tmp_path):
 
 LONG_FIT = """
 import numpy as np
+from wakefold.parallel import Threads
 from wakefold.spanning import spanning_tree
 from wakefold.tracks import Tracks
 

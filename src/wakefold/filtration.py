@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wakefold import dendrogram, store
 from wakefold.distance import frechet_matrix
+from wakefold.parallel import Executor
 from wakefold.search import TrackIndex
 from wakefold.spanning import spanning_tree
 from wakefold.tracks import Floats, Tracks
@@ -93,6 +94,9 @@ class Filtration:
         linkage: Linkage = "single",
         threads: int | None = None,
         progress: Callable[[float], None] | None = None,
+        *,
+        executor: Executor | None = None,
+        checkpoint: str | os.PathLike[str] | None = None,
     ) -> Filtration:
         """The exact filtration of the tracks under the discrete Fréchet distance.
 
@@ -100,13 +104,18 @@ class Filtration:
             tracks: at least one.
             linkage: "single" (canonical) or "complete" (ties broken by track order).
             threads: all cores by default; the result does not depend on it.
-            progress: called with the share of the work done, 0 to 1.
+            progress: called with the share of the time estimated to have passed, 0 to 1, never falling.
+            executor: where most of the work runs, for example ``wakefold.parallel.Ray()``; these threads by default.
+                The result does not depend on it.
+            checkpoint: directory that keeps what is known of the tree. A fit that was interrupted goes on from there,
+                to the same result. It can be deleted afterwards.
 
         A small set goes by its matrix of distances; a large one by ``wakefold.spanning``, which compiles more code but
         computes few of the distances and keeps none. The result is the same.
 
         Raises:
-            ValueError: no tracks, an unknown linkage, too many tracks for complete linkage (which needs the matrix), or
+            ValueError: no tracks, an unknown linkage, too many tracks for complete linkage (which needs the matrix),
+                an executor or a checkpoint with complete linkage, a checkpoint that is damaged or of other tracks, or
                 positions so far apart that a distance overflows.
         """
         if len(tracks) == 0:
@@ -119,9 +128,12 @@ class Filtration:
             raise ValueError(
                 f"complete linkage holds a matrix of distances: {_COMPLETE:,} tracks at most, not {len(tracks):,}"
             )
-        if linkage == "single" and (len(tracks) > _SMALL or len(tracks.points) > _SMALL_POINTS):
-            order, gaps = dendrogram.leaf_order(*spanning_tree(tracks, threads, progress))
-            return cls(order, gaps, tracks.ids, linkage)
+        beyond_matrix = executor is not None or checkpoint is not None
+        if linkage == "complete" and beyond_matrix:
+            raise ValueError("complete linkage runs on the threads of this machine, without a checkpoint")
+        if linkage == "single" and (beyond_matrix or len(tracks) > _SMALL or len(tracks.points) > _SMALL_POINTS):
+            tree = spanning_tree(tracks, threads, progress, executor=executor, checkpoint=checkpoint)
+            return cls(*dendrogram.leaf_order(*tree), tracks.ids, linkage)
         distances = frechet_matrix(tracks, threads=threads, progress=progress)
         return cls.from_distances(distances, tracks.ids, linkage)
 
