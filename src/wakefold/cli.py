@@ -180,7 +180,10 @@ def track(
         str | None,
         _opt("Accuracy of fixes that tell none, such as 20m; the model's without."),
     ] = None,
-    particles: Annotated[int, typer.Option(help="Particles of each agent.")] = 500,
+    particles: Annotated[int, typer.Option(help="Particles of each agent.")] = 200,
+    depletion: Annotated[
+        float, typer.Option(help="Share of the particles whose class is drawn anew, from all tracks, in every step.")
+    ] = 0.001,
     seed: Annotated[int, typer.Option(help="Of all random numbers.")] = 0,
     forecast: Annotated[str, _opt("Forecasts to add to every answer, such as 5min,15min.")] = "",
     format: Annotated[FormName | None, _opt("Of the answers; that of the observations without.")] = None,
@@ -211,7 +214,7 @@ def track(
         raise typer.BadParameter("--filter bl2 tells no classes apart", param_hint="--levels")
     known = wf.load(model)
     heights = [] if filter is FilterName.bl2 else cli_track.heights(levels or "3", known.filtration)
-    settings: dict[str, Any] = {"likelihood": likelihood.value, "seed": seed}
+    settings: dict[str, Any] = {"likelihood": likelihood.value, "depletion": depletion, "seed": seed}
     settings |= {} if sd is None else {"sd": metres(sd)}
     match filter:
         case FilterName.mhpf:

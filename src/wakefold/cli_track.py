@@ -221,8 +221,8 @@ def run(
                     except ValueError as error:
                         seen = Refused(seen.line, str(error))
                     else:
-                        out.write(line_of(answer))
                         answered += 1
+                        out.write(line_of(answer))
                         out.flush()
                         if album is not None:
                             album.add(seen, belief, crowd)

@@ -40,7 +40,9 @@ from wakefold.tracks import Floats, Tracks
 WEEK, DAY = "NYHarbor_2020_12_first_week.traj", "NYHarbor_2020_12_08.traj"
 SEED = 8
 SPACING = 200.0  # metres between the points of a learned track
-EPSILON, SCALE, SD, PARTICLES = 300.0, 8.0, 50.0, 500  # metres, m/sqrt(s), metres; chosen on 7 December
+EPSILON = 300.0  # metres
+SCALE, SD = 8.0, 50.0  # m/sqrt(s), metres; chosen on 7 December
+PARTICLES, DEPLETION = 500, 0.0009  # so small a share redraws no class at random, but lets a recovery find any
 LEVELS = 3
 CONFIDENCE = 0.9  # in the coarse report
 
@@ -103,9 +105,9 @@ def day_after(past: Tracks) -> Tracks:
     return held_out
 
 
-def teach(past: Tracks, epsilon: float = EPSILON, scale: float = SCALE) -> Model:
-    """The model of voyages."""
-    return learn(past.resample(spacing=SPACING), epsilon=epsilon, scale=scale)
+def teach(past: Tracks, scale: float = SCALE) -> Model:
+    """The model of voyages; ``scale`` of the motion noise, m/sqrt(s)."""
+    return learn(past.resample(spacing=SPACING), epsilon=EPSILON, scale=scale)
 
 
 def chosen(held_out: Tracks) -> int:
@@ -129,7 +131,7 @@ def follow(model: Model, name: str, points: Floats, times: Floats) -> list[Step]
     """
     tree = model.filtration
     levels = tree.levels(LEVELS).tolist()
-    f = MHPF(model, PARTICLES, levels=levels, seed=SEED)
+    f = MHPF(model, PARTICLES, levels=levels, depletion=DEPLETION, seed=SEED)
     truly = CoarseClass(destined(model, points, levels[-1]), levels[-1], CONFIDENCE)
     asked = questions(points, times)
     naive = list(constant_velocity(name, points, times, asked))
@@ -194,8 +196,10 @@ def run(out: Path, progress: Callable[..., None], show: Callable[[str], None]) -
         show(line)
 
     methods = {
-        "MHPF": particle(MHPF(model, PARTICLES, levels=[], seed=SEED), SD),  # levels do not change the base estimate
-        "BL1": particle(BL1(model, PARTICLES, seed=SEED), SD),
+        "MHPF": particle(
+            MHPF(model, PARTICLES, levels=[], depletion=DEPLETION, seed=SEED), SD
+        ),  # levels do not change the base estimate
+        "BL1": particle(BL1(model, PARTICLES, depletion=DEPLETION, seed=SEED), SD),
         "constant velocity": constant_velocity,
         "nearest track": nearest_track(model.tracks),
     }
@@ -217,6 +221,7 @@ def run(out: Path, progress: Callable[..., None], show: Callable[[str], None]) -
             "scale": SCALE,
             "sd": SD,
             "particles": PARTICLES,
+            "depletion": DEPLETION,
             "confidence": CONFIDENCE,
             "seed": SEED,
         },
@@ -276,7 +281,7 @@ def draw(
     fixes = np.array([step.truth for step in steps[: last + 1] if step.evidence == "fix"])
     now, before = steps[last], steps[last - 1]
     velocity = (now.truth - before.truth) / (now.time - before.time)
-    f = MHPF(model, PARTICLES, levels=[], seed=SEED)
+    f = MHPF(model, PARTICLES, levels=[], depletion=DEPLETION, seed=SEED)
     ahead = []
     for h, later in zip(HORIZONS, f.forecast(now.belief, list(HORIZONS)), strict=True):
         there = np.array([np.interp(now.time + h, times, points[:, axis]) for axis in (0, 1)])
