@@ -23,6 +23,7 @@ STOREYS = [
     ["evidence"],
     ["dynamics"],
     ["filtration"],
+    ["growth"],
     ["search"],
     ["dendrogram", "distance", "features", "spanning"],
     ["tracks", "shaping"],

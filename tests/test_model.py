@@ -106,6 +106,7 @@ def test_objects_show_themselves(model):
     assert "particles" in repr(belief)
     assert "ESS" in belief._repr_html_()
     assert "20 tracks" in repr(model)
+    assert "<svg" in model._repr_html_()
     assert sum(row.size for row in table) == 20
     assert set(table.members(int(table.classes[0]))) == set(model.filtration.members(int(table.classes[0])))
 

@@ -48,6 +48,11 @@ class Model:
             f"epsilon {d.epsilon:.3g}, {d.noise} noise {d.scale:.3g}, sd {self.sd:.3g})"
         )
 
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        return f"<p>{escape(repr(self))}</p>{self.tracks._repr_html_()}{self.filtration._repr_html_()}"
+
     def save(self, directory: str | os.PathLike[str]) -> None:
         """Store as one directory of arrays and a manifest (see ``wakefold.store``); no pickle."""
         arrays, meta = {}, {}
