@@ -96,6 +96,26 @@ def test_kernels_know_nothing_of_the_house():
             assert all(other.startswith("kernels") for other in imported(file, typing_too=True)), name
 
 
+def test_functions_without_a_wrapper_are_called_by_kernels_only():
+    """Python code that calls an ``inner`` function takes the interpreter down with it."""
+    inner = {
+        node.name
+        for name, file in modules()
+        if name.startswith("kernels.")
+        for node in ast.walk(ast.parse(file.read_text()))
+        if isinstance(node, ast.FunctionDef) and "inner" in map(ast.unparse, node.decorator_list)
+    }
+    assert "mean_velocity" in inner
+    tests = Path(__file__).parent
+    others = [file for name, file in modules() if not name.startswith("kernels")]
+    for file in [*others, *tests.glob("*.py"), *tests.parent.joinpath("benchmarks").glob("*.py")]:
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("wakefold.kernels."):
+                assert not inner & {alias.name for alias in node.names}, file.name
+            if isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("kernel", "motion", "random"):
+                assert node.attr not in inner, file.name
+
+
 def test_importing_wakefold_imports_nothing_heavy():
     heavy = ["numba", "scipy", "pyarrow", "pyproj", "matplotlib", "pyais", "numpy"]
     code = f"import sys, wakefold; print([m for m in {heavy} if m in sys.modules])"

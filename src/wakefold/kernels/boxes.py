@@ -19,10 +19,11 @@ from typing import NamedTuple
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
+from wakefold.kernels.compile import inner
 from wakefold.kernels.simd import LANES, Vector
 
 WIDTH = LANES["float64"]
@@ -204,13 +205,13 @@ def _append(typing, out, count, base, mask):
     return types.intp(out, types.intp, types.intp, types.intp), generate
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def scratch(field):
     """Room for the lists of ``near``."""
     return np.empty((2, field.leaf_at[-1] + FAN + AHEAD + 2), dtype=np.int32)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def near(q, first, last, field, reach2, lists, dims):
     """Rows of ``[first, last)`` that may hold points within reach of q.
 
@@ -253,7 +254,7 @@ def near(q, first, last, field, reach2, lists, dims):
 # The nearest point
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _far(q, boxes, node, child, reach2, dims):
     """Whether a box surely lies at least sqrt(reach2) away from q; its corners are rounded to float32."""
     d = len(dims)
@@ -266,7 +267,7 @@ def _far(q, boxes, node, child, reach2, dims):
     return total >= reach2
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _next_row(q, row, last, field, reach2, dims):
     """First row in ``[row, last)`` whose box is within reach of q; ``last`` when there is none."""
     top = len(field.level_at) - 2
@@ -285,7 +286,7 @@ def _next_row(q, row, last, field, reach2, dims):
     return last
 
 
-@njit(cache=True, nogil=True)
+@inner
 def nearest(q, first, last, field, best2, best, dims):
     """Nearest point to q in rows ``[first, last)``, given the best so far (squared distance, place in the data)."""
     d = len(dims)

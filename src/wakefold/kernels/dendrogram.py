@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from wakefold.kernels.compile import kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find(root, x):
     """Representative of the set of x; halves the path to it."""
     while root[x] != x:
@@ -15,7 +16,7 @@ def find(root, x):
     return x
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def name_merges(edges, heights, winner, loser):
     """The clusters that merges join, each named by its smallest track.
 
@@ -37,7 +38,7 @@ def name_merges(edges, heights, winner, loser):
             start = k + 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def chain(winner, loser, heights, order, gaps):
     """Append the cluster of each loser to that of its winner, in the sequence given.
 
@@ -56,7 +57,7 @@ def chain(winner, loser, heights, order, gaps):
     order[len(gaps)] = track
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def nest(gaps, lo, hi, birth, parent):
     """Classes of a dendrogram: the leaves by rank, then the merged ones as they are met from left to right.
 

@@ -16,21 +16,21 @@ from __future__ import annotations
 # The first parameter of an intrinsic is numba's typing context, which the caller does not give.
 # pyright: reportCallIssue=false
 import numpy as np
-from numba import njit
 
+from wakefold.kernels.compile import inner, kernel
 from wakefold.kernels.simd import LANES, fill, higher, load, lower, point, squared_distance, store
 
 TILE = 4  # rows of the table carried through one sweep of the columns, so that each column is loaded a quarter as often
 LANES32, LANES64 = LANES["float32"], LANES["float64"]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def lanes_of(array):
     """Lanes of a vector of the array's dtype."""
     return LANES32 if array.itemsize == 4 else LANES64
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def longest(offsets, tracks, start, stop):
     """Points of the longest of ``tracks[start:stop]``."""
     length = offsets[0]
@@ -39,7 +39,7 @@ def longest(offsets, tracks, start, stop):
     return length
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pack(points, start, stop, rows, out, lane):
     """Write one track into a lane of a batch and pad it with its last point.
 
@@ -57,7 +57,7 @@ def pack(points, start, stop, rows, out, lane):
             out[(row * d + axis) * lanes + lane] = points[stop - 1, axis]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def batch_squared(a, rows, b, columns, table, axes):
     """Squared Fréchet distances of one batch, left in ``table[(columns - 1) * LANES : columns * LANES]``.
 
@@ -87,7 +87,7 @@ def batch_squared(a, rows, b, columns, table, axes):
         corner = never
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pack_columns(points, offsets, columns, width, begin, out):
     """Pack tracks into batches of LANES neighbours in ``columns``; the last batch repeats its last track.
 
@@ -107,7 +107,7 @@ def pack_columns(points, offsets, columns, width, begin, out):
             pack(points, offsets[track], offsets[track + 1], width[g], batch, lane)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def rows_against_columns(points, offsets, rows, skip, columns, width, begin, packed, axes, mirror, out):
     """Fréchet distances of some tracks to packed columns, ``out[track, column's track]``.
 
@@ -142,7 +142,7 @@ def rows_against_columns(points, offsets, rows, skip, columns, width, begin, pac
                     out[columns[column], track] = distance
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pairs_of_tracks(points, offsets, first, second, axes, out):
     """Fréchet distances of listed pairs of tracks.
 
@@ -170,7 +170,7 @@ def pairs_of_tracks(points, offsets, first, second, axes, out):
             out[k] = np.sqrt(table[(columns - 1) * lanes + k - start])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def track_against_tracks(track, points, offsets, others, axes, out):
     """Fréchet distances of one track to listed others.
 

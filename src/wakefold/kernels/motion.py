@@ -4,9 +4,9 @@
 # (numba gives an intrinsic its typing context: it is called with one argument less than it is defined with)
 
 import numpy as np
-from numba import njit
 
 from wakefold.kernels.boxes import WIDTH, near, nearest, scratch
+from wakefold.kernels.compile import inner, kernel
 from wakefold.kernels.neighbours import add_rows, mean_velocity, nothing, velocity, velocity_at
 
 # Particles of one cloud lie close together: the rows of a class within reach of one particle, and this share of the
@@ -14,7 +14,7 @@ from wakefold.kernels.neighbours import add_rows, mean_velocity, nothing, veloci
 SHARE = 0.125
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _within(p, q, reach2, dims):
     """Whether two positions are less than sqrt(reach2) apart."""
     total = 0.0
@@ -23,7 +23,7 @@ def _within(p, q, reach2, dims):
     return total < reach2
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def drifts(points, classes, lo, hi, field, reach2, floor2, out, dims):
     """Localised velocity at each of the points (n, d) under its own class, into ``out`` (n, d)."""
     lists, side, count, listed = scratch(field), 0, 0, -1  # the rows near ``centre`` of the class ``listed``
@@ -46,7 +46,7 @@ def drifts(points, classes, lo, hi, field, reach2, floor2, out, dims):
         velocity(points[i], first, last, lists[side], count, field, reach2, floor2, out[i], dims)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def move(points, classes, lo, hi, field, reach2, floor2, noise, h, dims):
     """Move points (n, d) under their own classes through the sub-steps of ``noise`` (sub-steps, n, d), in place.
 
@@ -60,7 +60,7 @@ def move(points, classes, lo, hi, field, reach2, floor2, noise, h, dims):
                 points[i, k] += h * drift[i, k] + noise[part, i, k]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _first_from(rows, count, row):
     """How many of the ``count`` rows, in rising order, come before a row; ``np.searchsorted`` compiles for a second."""
     low, high = 0, count
@@ -73,7 +73,7 @@ def _first_from(rows, count, row):
     return low
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _chain(q, node, nodes, parent, lo, hi, rows, count, field, reach2, floor2, out, dims):
     """Localised velocity at q under a leaf node and every ancestor of it in use, into ``out``, from the leaf outwards.
 
@@ -108,7 +108,7 @@ def _chain(q, node, nodes, parent, lo, hi, rows, count, field, reach2, floor2, o
         node = parent[node]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def move_nested(
     points, leaf_of, nodes, parent, start, lo, hi, field, reach2, floor2, noise, copy_noise, h, copies, dims
 ):

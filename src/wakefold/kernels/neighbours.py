@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
@@ -26,6 +26,7 @@ from wakefold.kernels.boxes import (
     sum_of,
     vector_at,
 )
+from wakefold.kernels.compile import inner, kernel
 from wakefold.kernels.simd import Vector
 
 _VECTOR = Vector(types.float64)
@@ -98,7 +99,7 @@ def _total(typing, vector):
     return types.float64(vector), generate
 
 
-@njit(cache=True, nogil=True)
+@inner
 def add_rows(q, rows, first, last, field, reach2, floor2, sums, dims):
     """``sums`` plus the points of ``rows[first:last]`` strictly nearer to q than sqrt(reach2).
 
@@ -117,7 +118,7 @@ def add_rows(q, rows, first, last, field, reach2, floor2, sums, dims):
 # Velocities
 
 
-@njit(cache=True, nogil=True)
+@inner
 def mean_velocity(sums, out, dims):
     """Inverse-distance mean of the velocities summed up, into ``out`` (d,); False, and nothing done, of no points."""
     weight = _total(sums[0])
@@ -128,14 +129,14 @@ def mean_velocity(sums, out, dims):
     return True
 
 
-@njit(cache=True, nogil=True)
+@inner
 def velocity_at(field, place, out, dims):
     """Velocity of the point that ``nearest`` found, into ``out`` (d,)."""
     for k in range(len(dims)):
         out[k] = field.data[place + (len(dims) + k) * WIDTH]
 
 
-@njit(cache=True, nogil=True)
+@inner
 def velocity(q, first, last, rows, count, field, reach2, floor2, out, dims):
     """Localised velocity at q of the class with the rows ``[first, last)``, into ``out`` (d,).
 
@@ -152,7 +153,7 @@ def velocity(q, first, last, rows, count, field, reach2, floor2, out, dims):
         velocity_at(field, place, out, dims)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def departures(points, velocities, leaf_of, lo, hi, field, reach2, floor2, dims):
     """Velocity of training points minus that of the other leaves, in the ball, of the class ``[lo, hi)`` around theirs.
 

@@ -8,14 +8,14 @@ by node).
 import math
 
 import numpy as np
-from numba import njit
 
+from wakefold.kernels.compile import inner, kernel
 from wakefold.kernels.random import uniforms
 
 LOG, GAUSSIAN, STUDENT = 0, 1, 2
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _peak(values):
     """The largest value; ``values.max()`` would take a second to compile."""
     peak = -np.inf
@@ -24,7 +24,7 @@ def _peak(values):
     return peak
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pick(log_weights, positions, out):
     """Index of the particle at each of the sorted ``positions`` in [0, 1) of the cumulated weights, into ``out``."""
     peak = _peak(log_weights)
@@ -40,7 +40,7 @@ def pick(log_weights, positions, out):
         out[n] = i
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pick_strata(log_weights, u, out):
     """``pick`` at one position in each of len(out) equal strata; ``u`` is one uniform for all, or one for each."""
     count = len(out)
@@ -50,7 +50,7 @@ def pick_strata(log_weights, u, out):
     pick(log_weights, positions, out)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def reopen(points, classes, kept, u, changed, leaves):
     """The kept particles, ``changed`` of them, evenly spread, with a class drawn uniformly from the leaves.
 
@@ -68,7 +68,7 @@ def reopen(points, classes, kept, u, changed, leaves):
     return new_points, new_classes
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def open_strata(key, step, purpose, log_weights, points, classes, strata, changed, leaves):
     """Draw, ``pick_strata`` and ``reopen`` in one call: three, and their arrays, cost 4 µs more, a tenth of a step.
 
@@ -81,7 +81,7 @@ def open_strata(key, step, purpose, log_weights, points, classes, strata, change
     return reopen(points, classes, kept, u[strata:], changed, leaves)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def layout(classes, up, size):
     """The classes in use that hold particles, and the copies each of them needs.
 
@@ -131,7 +131,7 @@ def layout(classes, up, size):
     return nodes, parent, leaf_of, start, copy_of
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def log_likelihood(points, fix, family, scale, dof, out):
     """Log-likelihood of a fix (d,) at each of the points (n, d), into ``out`` (n,); returns the smallest distance.
 
@@ -163,7 +163,7 @@ def log_likelihood(points, fix, family, scale, dof, out):
     return math.sqrt(closest) * scale
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def log_sum(log_weights):
     """log of the sum of exp(log_weights); -inf when all are -inf."""
     peak = _peak(log_weights)
@@ -175,7 +175,7 @@ def log_sum(log_weights):
     return peak + math.log(total)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def copy_log_weights(log_weights, copy_of, start, factors):
     """(S,) log-weights of the copies: those of the base particles they were made from times their node's factor."""
     out = np.empty(len(copy_of))
@@ -185,7 +185,7 @@ def copy_log_weights(log_weights, copy_of, start, factors):
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def multiply(log_weights, log_factors):
     """Multiply weights by factors and normalise, in place; returns log(sum of products / sum of weights).
 
@@ -204,7 +204,7 @@ def multiply(log_weights, log_factors):
     return after - before
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def node_masses(log_weights, leaf_of, parent):
     """Mass of every node: leaves sum the weights of their particles, parents sum their children."""
     mass = np.zeros(len(parent))
@@ -213,7 +213,7 @@ def node_masses(log_weights, leaf_of, parent):
     return _sum_up(mass, parent)
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _sum_up(mass, parent):
     for a in range(len(mass)):
         if parent[a] >= 0:
@@ -221,13 +221,13 @@ def _sum_up(mass, parent):
     return mass
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _log_ratio(new, old):
     """log(new / old) with 0/0 = 0."""
     return math.log(new / old) if new > 0.0 and old > 0.0 else -np.inf
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def spread_fix(log_weights, leaf_of, parent, start, prior, factors, also_observed):
     """Rebuild the tree after a fix on the base set and multiply the other sets (docs/algorithm.md, step 4).
 
@@ -247,7 +247,7 @@ def spread_fix(log_weights, leaf_of, parent, start, prior, factors, also_observe
         prior[a] = new[a]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def spread_coarse(log_weights, leaf_of, parent, start, base_mass, prior, factors, observed, log_g, also_observed):
     """Coarse evidence on the nodes alive at its level, then the rebuild (docs/algorithm.md, step 4).
 
@@ -300,7 +300,7 @@ def spread_coarse(log_weights, leaf_of, parent, start, base_mass, prior, factors
     return math.log(after) - math.log(before)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def nearest_used(parent, used):
     """(C,) the nearest ancestor in use of each class, -1 above the last; parents come after their children."""
     up = np.empty(len(parent), dtype=np.int64)
@@ -310,7 +310,7 @@ def nearest_used(parent, used):
     return up
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def alive_above(nodes, parent, start, death, level):
     """(A,) for leaves the node alive at the level above (or at) them, -1 for other nodes."""
     out = np.empty(len(nodes), dtype=np.int64)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from wakefold.kernels.compile import inner, kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def stop_mask(points, times, offsets, radius, duration):
     """``(P,)`` bool, true on the points of stops.
 
@@ -35,7 +36,7 @@ def stop_mask(points, times, offsets, radius, duration):
     return stopped
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def douglas_peucker(points, offsets, tolerance):
     """``(P,)`` bool, true on the points kept: every other point lies within ``tolerance`` of the segment between
     the kept points before and after it (Douglas & Peucker 1973, without recursion)."""
@@ -66,7 +67,7 @@ def douglas_peucker(points, offsets, tolerance):
     return kept
 
 
-@njit(cache=True, nogil=True)
+@inner
 def _square_to_segment(p, a, b):
     along = 0.0
     chord = 0.0
