@@ -29,7 +29,7 @@ def report_page(results: Mapping[str, Any], pictures: Mapping[str, Path]) -> str
 <title>Wakefold: New York Harbor</title><style>{STYLE}</style></head><body>
 <h1>New York Harbor, one belief at every scale</h1>
 <p class="note">Ship tracks (AIS) of December 2020 from the package tracktable-data. Learned on 1–7 December; everything
-below the tree is about 8 December, which was used neither to learn nor to choose a setting.</p>
+below the tree is about 8 December, which was used neither to learn nor to choose a setting of a filter.</p>
 
 <h2>The tree of movement classes</h2>
 <p>{learned["voyages"]:,} voyages of the week were joined into a tree by their Fréchet distance, the greatest distance
