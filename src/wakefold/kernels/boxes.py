@@ -23,7 +23,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from wakefold.kernels.compile import inner
+from wakefold.kernels.compile import inner, kernel
 from wakefold.kernels.simd import LANES, Vector
 
 WIDTH = LANES["float64"]
