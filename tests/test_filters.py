@@ -354,6 +354,18 @@ def test_a_fix_out_of_this_world_is_a_counted_recovery_never_nan(model, kind, li
     assert np.isfinite(started.points).all()
 
 
+@pytest.mark.parametrize("sd", [1e-3, 1e-160, 1e-300])
+def test_a_fix_surer_than_the_arithmetic_starts_at_the_nearest_points(model, sd):
+    f = wf.BL1(model, 40, seed=0)
+    target = model.tracks[4][0]
+    assert np.allclose(f.start(fix=wf.Fix(target + 1e-4, sd=sd)).points, target)
+    belief = f.step(f.start(), [wf.Fix(target + 1e-4, sd=sd)], dt=1.0)
+    assert belief.recoveries == 1
+    found = np.unique(belief.points, axis=0)
+    assert len(found) == 1
+    assert np.allclose(found[0], target)
+
+
 @pytest.mark.parametrize("kind", [wf.MHPF, lambda *a, **k: wf.BL1(*a, coarse=True, **k)])
 def test_certain_evidence_of_a_class_without_particles_is_a_counted_recovery(model, kind):
     tree = model.filtration
@@ -431,6 +443,7 @@ def test_resampling_by_effective_sample_size(model):
     ("settings", "match"),
     [
         ({"particles": 0}, "particles"),
+        ({"particles": 1.5}, "particles"),
         ({"likelihood": "cauchy"}, "likelihood"),
         ({"sd": 0.0}, "sd"),
         ({"sd": math.nan}, "sd"),

@@ -111,6 +111,14 @@ def test_objects_show_themselves(model):
     assert set(table.members(int(table.classes[0]))) == set(model.filtration.members(int(table.classes[0])))
 
 
+def test_single_points_can_be_learned_and_followed():
+    points = wf.Tracks.from_arrays([np.array([[float(i), 0.0]]) for i in range(4)])
+    model = wf.learn(points)
+    assert model.sd == model.dynamics.epsilon / 2
+    f = wf.MHPF(model, 20)
+    assert np.isfinite(f.step(f.start(), [wf.Fix((1.0, 0.0))], dt=1.0).mean()).all()
+
+
 def test_nothing_to_learn_from():
     with pytest.raises(ValueError, match="no tracks"):
         wf.Tracks.from_arrays([])

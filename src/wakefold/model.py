@@ -112,5 +112,6 @@ def learn(
     filtration = Filtration.fit(tracks, linkage=linkage, threads=threads, progress=progress)
     dynamics = Dynamics.learn(tracks, filtration, epsilon=epsilon, noise=noise, scale=scale)
     if sd is None:
-        sd = 0.5 * tracks.median_spacing or 0.5 * dynamics.epsilon
+        spacing = tracks.median_spacing
+        sd = 0.5 * (spacing if spacing > 0 else dynamics.epsilon)  # NaN when every track is a single point
     return Model(tracks, filtration, dynamics, float(sd))

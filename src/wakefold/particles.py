@@ -150,8 +150,8 @@ class ParticleFilter:
         seed: int = 0,
     ) -> None:
         sd = model.sd if sd is None else sd
-        if particles < 1:
-            raise ValueError(f"particles must be at least 1, got {particles}")
+        if isinstance(particles, bool) or not isinstance(particles, (int, np.integer)) or particles < 1:
+            raise ValueError(f"particles must be a whole number of at least 1, got {particles}")
         if likelihood not in FAMILIES:
             raise ValueError(f"likelihood must be one of {', '.join(FAMILIES)}, got {likelihood!r}")
         if not 0.0 < sd < math.inf:
@@ -329,8 +329,10 @@ class ParticleFilter:
         owner = np.repeat(np.arange(len(tracks)), tracks.lengths)
         log_g, _ = self._fix_log_g(tracks.points, fix)
         log_weights = log_g + log_mass[owner]
-        if log_weights.max() == -math.inf:  # too far for the arithmetic: the fix cannot tell the points apart
-            log_weights = log_mass[owner]
+        if log_weights.max() == -math.inf:  # too many sd away for the arithmetic: the nearest points, all alike
+            away = np.abs(tracks.points - fix.on_plane(tracks.projection, tracks.dim)).max(axis=1)
+            away[log_mass[owner] == -math.inf] = math.inf
+            log_weights = np.where(away == away.min(), log_mass[owner], -math.inf)
         rows = _pick_strata(log_weights, u, self.particles)
         return tracks.points[rows], owner[rows]
 
