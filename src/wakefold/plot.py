@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike, NDArray
 
 from wakefold.filtration import Filtration
@@ -190,8 +191,14 @@ def forecast(
         ax.scatter(*cloud.T, s=sizes, color=colour, alpha=0.45, linewidths=0, zorder=2)
         dot: dict[str, Any] = {"marker": "o", "markersize": 4, "linestyle": "none"}
         handles.append(Line2D([], [], color=colour, label=f"in {duration_text(item.seconds)}", **dot))
+        # A white rim keeps the marks apart from a cloud of their own colour.
+        mark: dict[str, Any] = {
+            "linewidths": 1.4,
+            "zorder": 5,
+            "path_effects": [withStroke(linewidth=3.5, foreground="white")],
+        }
         if item.truth is not None:
-            ax.scatter(*np.asarray(item.truth), s=60, facecolors="none", edgecolors=colour, linewidths=1.4, zorder=5)
+            ax.scatter(*np.asarray(item.truth), s=60, facecolors="none", edgecolors=colour, **mark)
         if item.constant_velocity is not None:
             ax.scatter(
                 *np.asarray(item.constant_velocity),
@@ -199,10 +206,9 @@ def forecast(
                 marker="s",
                 facecolors="none",
                 edgecolors=colour,
-                linewidths=1.4,
-                zorder=5,
+                **mark,
             )
-        ax.scatter(*(weights @ cloud), s=45, marker="x", color=colour, linewidths=1.4, zorder=5)
+        ax.scatter(*(weights @ cloud), s=45, marker="x", color=colour, **mark)
     hollow: dict[str, Any] = {"color": INK, "linestyle": "none", "markerfacecolor": "none"}
     handles.append(Line2D([], [], marker="x", markersize=5, label="mean", **hollow))
     if any(item.truth is not None for item in ahead):

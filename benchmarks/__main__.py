@@ -1,0 +1,9 @@
+"""All benchmarks, one after the other: ``python -m benchmarks [--quick]``."""
+
+import sys
+
+from benchmarks import demo_settings, filters, filtration, frechet, reading
+
+for script in (frechet, filtration, filters, reading, demo_settings):
+    print(f"\n## {script.__name__}\n")
+    script.main(quick="--quick" in sys.argv[1:])
