@@ -100,7 +100,7 @@ def test_the_tree_is_that_of_the_matrix_under_many_ties(lists):
 def test_larger_sets_and_a_crowded_search(monkeypatch):
     """Several levels of boxes, and so little room for candidates that the search is resumed many times."""
     rng = np.random.default_rng(0)
-    for kind in (clusters, two_hubs, on_a_grid, mixed_lengths):
+    for kind in (clusters, two_hubs, on_a_grid, mixed_lengths, same_place):
         tracks = Tracks.from_arrays(kind(rng, 500, 2))
         same_tree(tracks)
         with monkeypatch.context() as patch:
@@ -195,7 +195,8 @@ def test_progress_rises_to_one():
     assert seen == sorted(seen)
 
 
-def test_the_estimate_of_the_time_left_is_honest(monkeypatch):
+@pytest.mark.parametrize("rounds", [1, 2])
+def test_the_estimate_of_the_time_left_is_honest(rounds, monkeypatch):
     """By a clock of our own, with the seconds and tracks of a fit of 100,000 pedestrians."""
     seconds = [0.27, 0.34, 0.71, 0.8, 0.76, 0.47, 0.35, 0.3, 0.22, 0.19, 0.35]
     apart = [1, 0.94, 0.83, 0.44, 0.09, 0.016, 0.006, 0.002, 8e-4, 3e-4, 1e-4]
@@ -205,10 +206,12 @@ def test_the_estimate_of_the_time_left_is_honest(monkeypatch):
     estimate = spanning.Estimate(lambda share: (shown.append(share), when.append(now)))
     now = 0.68
     for radius, cost in enumerate(seconds):
-        estimate.radius(np.inf if radius < 7 else len(seconds) - 1 - radius, apart[radius])
-        for step in range(1, 101):
+        estimate.radius()
+        for step in range(100):
+            if step * rounds % 100 == 0:
+                estimate.round(np.inf if radius < 7 else len(seconds) - 1 - radius, apart[radius])
             now += cost / 100
-            estimate.show(step / 100)
+            estimate.show((step + 1) * rounds / 100 - estimate.rounds + 1)
     assert shown == sorted(shown)
     assert shown[-1] == 1
     passed, share = np.array(when), np.array(shown)

@@ -32,7 +32,7 @@ KIND = "spanning forest"
 
 GROWTH = 1.5  # of the radius; smaller means fewer distances and more searches
 TRACKS = 2048  # tracks to a piece of the search, on average
-ROOM = 1 << 14  # pairs a piece of the search may find before their distances are computed
+ROOM = 1 << 15  # pairs a piece of the search may find before their distances are computed
 PIECE = 1 << 22  # cells of the dynamic programme in one piece of work, at least: a millisecond
 PIECES = 4096  # pieces of work in a batch of distances, at most
 FADE, RISE = 0.75, 3  # of the time each radius takes, see Estimate
@@ -70,24 +70,32 @@ class Estimate:
     What is left of a radius is expected to take FADE times what that part of the radius before took, and each radius
     to come FADE times the one before it; all of these 1 + RISE times as long while no tracks have joined, since radii
     take longer and longer until most have. How many will come is known once the edges seen join all tracks: the tree
-    needs no radius above the longest of them. FADE and RISE are those of pedestrians, 100,000 and 1,000,000.
+    needs no radius above the longest of them. A radius is expected to have the rounds of search and distances that the
+    one before it had. FADE and RISE are those of pedestrians, 100,000 and 1,000,000.
     """
 
     def __init__(self, progress: Progress | None):
         self.progress = progress
         self.begin = self.mark = monotonic()
         self.last = self.later = self.shown = 0.0
+        self.rounds = self.rounds_before = 2  # a guess for the first radius
 
-    def radius(self, to_come: float, apart: float) -> None:
-        """A radius begins; ``to_come`` more follow at most (inf: not known); this share of the tracks is not joined."""
+    def radius(self) -> None:
+        """A radius begins."""
         now = monotonic()
         self.last, self.mark = now - self.mark, now
+        self.rounds, self.rounds_before = 0, self.rounds
+
+    def round(self, to_come: float, apart: float) -> None:
+        """A round begins; ``to_come`` more radii follow at most (inf: not known), a share of the tracks is apart."""
+        self.rounds += 1
         self.later = (1 + RISE * apart) * FADE * (1 - FADE**to_come) / (1 - FADE)
 
     def show(self, done: float) -> None:
-        """A share of this radius is done. The share shown never falls."""
+        """A share of this round is done. The share shown never falls."""
         if self.progress:
             now = monotonic()
+            done = (self.rounds - 1 + done) / max(self.rounds, self.rounds_before)
             rest = (1 - done) * FADE * self.last
             left = rest + self.later * (now - self.mark + rest)
             if now > self.begin:
@@ -134,12 +142,13 @@ def spanning_tree(
     neighbours = np.abs(np.diff(boxes.features, axis=0)).max(axis=1)
     first_radius = max(unit * float(np.quantile(neighbours, 0.25)) / 2, margin)
     done = np.float32(0)  # pairs with a lower bound under `settled` metres, squared and in units, have been dealt with
-    while (joined := np.searchsorted(forest.heights, settled, side="right")) < count - 1:
+    while np.searchsorted(forest.heights, settled, side="right") < count - 1:
         radius = settled * GROWTH if settled else first_radius
         limit = np.nextafter(np.float32(((radius + margin) / unit) ** 2), np.float32(np.inf))
-        estimate.radius(_radii_above(radius, forest), 1 - joined / (count - 1))
+        estimate.radius()
         tiles = _tiles(boxes, pieces)
         while len(tiles):
+            estimate.round(*_to_do(radius, forest))
             part[forest.order] = np.concatenate([[0], np.cumsum(forest.gaps > settled)])
             label_boxes(part, boxes.bounds, box_part)
             shared = (*shape, share(part), share(box_part), tracks.dim, done, limit)
@@ -158,11 +167,12 @@ def spanning_tree(
     return boxes.order[np.stack([forest.first, forest.second], axis=1)], forest.heights
 
 
-def _radii_above(radius: float, forest: Forest) -> float:
-    """Radii to come after this one, at most; inf while the forest does not join all tracks."""
+def _to_do(radius: float, forest: Forest) -> tuple[float, float]:
+    """Radii to come after this one, at most (inf while the forest does not join all tracks); share not yet joined."""
+    apart = 1 - int(np.searchsorted(forest.heights, radius, side="right")) / (len(forest.order) - 1)
     if len(forest.heights) < len(forest.order) - 1:
-        return math.inf
-    return max(0, math.ceil(math.log(forest.heights[-1] / radius) / math.log(GROWTH)))
+        return math.inf, apart
+    return math.ceil(math.log(max(1.0, forest.heights[-1] / radius)) / math.log(GROWTH)), apart
 
 
 def _fingerprint(tracks: Tracks) -> str:
