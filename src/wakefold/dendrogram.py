@@ -32,11 +32,37 @@ def leaf_order(edges: Ints, heights: Floats) -> tuple[Ints, Floats]:
     return order, gaps
 
 
-def classes(order: Ints, rank: Ints, gaps: Floats) -> dict[str, NDArray]:
-    """``lo, hi, birth, death, parent`` of all classes, numbered as in ``Filtration``."""
+def leaf_order_of_matrix(distances: Floats, method: str) -> tuple[Ints, Floats]:
+    """Canonical dendrogram order and gaps of symmetric distances ``(M, M)``, M > 1, by scipy's linkage."""
+    from scipy.cluster.hierarchy import linkage
+    from scipy.spatial.distance import squareform
+
+    z = linkage(squareform(distances), method=method)
+    first = list(range(len(distances)))  # one track of each cluster, as scipy numbers them
+    edges = np.empty((len(z), 2), dtype=np.int64)
+    for row, (a, b) in enumerate(z[:, :2].astype(np.int64).tolist()):
+        edges[row] = first[a], first[b]
+        first.append(first[a])
+    return leaf_order(edges, z[:, 2].copy())
+
+
+def classes(order: Ints, gaps: Floats) -> dict[str, NDArray]:
+    """``rank`` of each track, and ``lo, hi, birth, death, parent`` of all classes, numbered as in ``Filtration``.
+
+    Raises:
+        ValueError: ``order`` is not a permutation, or a height is missing, negative or not finite.
+    """
     from wakefold.kernels.dendrogram import nest
 
     tracks = len(order)
+    if tracks == 0 or order.shape != (tracks,) or not np.array_equal(np.sort(order), np.arange(tracks)):
+        raise ValueError("order must be a permutation of the tracks, at least one")
+    if gaps.shape != (tracks - 1,):
+        raise ValueError(f"{tracks} tracks need {tracks - 1} gaps, got {gaps.shape}")
+    if not (np.isfinite(gaps).all() and (gaps >= 0).all()):
+        raise ValueError("a height of the filtration is negative or not finite")
+    rank = np.empty(tracks, dtype=np.int64)
+    rank[order] = np.arange(tracks)
     low, high, above = np.empty((3, 2 * tracks - 1), dtype=np.int64)
     born = np.empty(2 * tracks - 1)
     count = nest(gaps.copy(), low, high, born, above)  # read-only arrays would be compiled for again
@@ -47,7 +73,8 @@ def classes(order: Ints, rank: Ints, gaps: Floats) -> dict[str, NDArray]:
     parents = np.where(above >= 0, class_of[above], -1)
     births = born[node_of]
     deaths = np.where(parents >= 0, births[parents], np.inf)
-    return {"lo": low[node_of], "hi": high[node_of], "birth": births, "death": deaths, "parent": parents}
+    intervals = {"rank": rank, "lo": low[node_of], "hi": high[node_of]}
+    return intervals | {"birth": births, "death": deaths, "parent": parents}
 
 
 def range_maxima(gaps: Floats) -> Floats:
@@ -86,6 +113,8 @@ def entropy_by_height(size: Ints, birth: Floats, parent: Ints) -> tuple[Floats, 
 
 def levels_by_entropy(size: Ints, birth: Floats, parent: Ints, number: int) -> Floats:
     """At most ``number`` heights between single tracks and the root, nearest to equal steps of entropy."""
+    if number < 1:
+        raise ValueError(f"number must be at least 1, got {number}")
     heights, entropy = entropy_by_height(size, birth, parent)
     between = slice(1, -1) if len(heights) > 2 else slice(0, 1)
     heights, entropy = heights[between], entropy[between]
@@ -95,6 +124,8 @@ def levels_by_entropy(size: Ints, birth: Floats, parent: Ints, number: int) -> F
 
 def levels_by_persistence(birth: Floats, death: Floats, persistence: float) -> Floats:
     """The fewest births such that each class with ``death - birth >= persistence`` is alive at one of them."""
+    if not (persistence >= 0 and np.isfinite(persistence)):
+        raise ValueError(f"persistence must be finite and not negative, got {persistence}")
     lasting = death - birth >= persistence
     out: list[float] = []
     latest, first_death = 0.0, np.inf

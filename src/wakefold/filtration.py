@@ -18,8 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from wakefold import dendrogram, store
 from wakefold.distance import frechet_matrix
+from wakefold.growth import grown_tree
 from wakefold.parallel import Executor
-from wakefold.search import TrackIndex
+from wakefold.search import TrackIndex, medoid
 from wakefold.spanning import spanning_tree
 from wakefold.tracks import Floats, Tracks
 
@@ -68,18 +69,11 @@ class Filtration:
         order = np.ascontiguousarray(self.order, dtype=np.int64)
         gaps = np.ascontiguousarray(self.gaps, dtype=np.float64)
         ids = np.asarray(self.ids, dtype=np.str_)
-        tracks = len(order)
-        if tracks == 0 or order.shape != (tracks,) or not np.array_equal(np.sort(order), np.arange(tracks)):
-            raise ValueError("order must be a permutation of the tracks, at least one")
-        if gaps.shape != (tracks - 1,) or ids.shape != (tracks,):
-            raise ValueError(f"{tracks} tracks need {tracks - 1} gaps and {tracks} ids, got {gaps.shape}, {ids.shape}")
-        if not (np.isfinite(gaps).all() and (gaps >= 0).all()):
-            raise ValueError("a height of the filtration is negative or not finite")
+        if ids.shape != order.shape:
+            raise ValueError(f"{order.size} tracks need as many ids, got {ids.shape}")
         if self.linkage not in ("single", "complete"):
             raise ValueError(f"linkage must be 'single' or 'complete', got {self.linkage!r}")
-        rank = np.empty(tracks, dtype=np.int64)
-        rank[order] = np.arange(tracks)
-        arrays = {"order": order, "gaps": gaps, "ids": ids, "rank": rank, **dendrogram.classes(order, rank, gaps)}
+        arrays = {"order": order, "gaps": gaps, "ids": ids, **dendrogram.classes(order, gaps)}
         for name, array in arrays.items():
             view = array.view()
             view.flags.writeable = False
@@ -134,24 +128,35 @@ class Filtration:
         if linkage == "single" and (beyond_matrix or len(tracks) > _SMALL or len(tracks.points) > _SMALL_POINTS):
             tree = spanning_tree(tracks, threads, progress, executor=executor, checkpoint=checkpoint)
             return cls(*dendrogram.leaf_order(*tree), tracks.ids, linkage)
-        distances = frechet_matrix(tracks, threads=threads, progress=progress)
-        return cls.from_distances(distances, tracks.ids, linkage)
+        return cls.from_distances(frechet_matrix(tracks, threads=threads, progress=progress), tracks.ids, linkage)
+
+    def extend(self, tracks: Tracks, new: Tracks, threads: int | None = None) -> Filtration:
+        """The filtration of the tracks and new ones, exactly as ``fit`` gives it for ``Tracks.concat([tracks, new])``.
+
+        Args:
+            tracks: those this filtration was built from.
+            new: at least one, of other ids.
+
+        Raises:
+            ValueError: not the tracks of this filtration, an id used twice, another plane, or complete linkage, which
+                new tracks can change everywhere.
+        """
+        self._check_tracks(tracks)
+        if self.linkage != "single":
+            raise ValueError("only single linkage can be extended; fit the complete linkage of all tracks again")
+        ids = np.concatenate([tracks.ids, new.ids])
+        if len(set(ids.tolist())) < len(ids):
+            raise ValueError("a new track has an id that is used already")
+        if len(new) == 0:
+            return self
+        tree = grown_tree(self._index_of(tracks), self.order, self.gaps, new, threads)
+        return Filtration(*dendrogram.leaf_order(*tree), ids)
 
     @classmethod
     def from_distances(cls, distances: ArrayLike, ids: ArrayLike, linkage: Linkage = "single") -> Filtration:
         """The filtration of any symmetric distances, ``(M, M)`` with zeros on the diagonal, M > 1."""
-        from scipy.cluster.hierarchy import linkage as merge
-        from scipy.spatial.distance import squareform
-
-        z = merge(squareform(np.asarray(distances, dtype=np.float64)), method=linkage)
-        names = np.asarray(ids, dtype=np.str_)
-        first = list(range(len(names)))  # one track of each cluster, as scipy numbers them
-        edges = np.empty((len(z), 2), dtype=np.int64)
-        for row, (a, b) in enumerate(z[:, :2].astype(np.int64).tolist()):
-            edges[row] = first[a], first[b]
-            first.append(first[a])
-        order, gaps = dendrogram.leaf_order(edges, z[:, 2])
-        return cls(order, gaps, names, linkage)
+        order, gaps = dendrogram.leaf_order_of_matrix(np.asarray(distances, dtype=np.float64), linkage)
+        return cls(order, gaps, np.asarray(ids, dtype=np.str_), linkage)
 
     def packed(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Arrays and JSON metadata that ``unpacked`` takes back."""
@@ -234,9 +239,9 @@ class Filtration:
             ValueError: there is no such track.
         """
         if isinstance(track, str):
-            if track not in self._index:
+            if track not in self._numbers:
                 raise ValueError(f"no track has the id {track!r}")
-            return self._index[track]
+            return self._numbers[track]
         if not 0 <= track < len(self):
             raise ValueError(f"there is no track {track}; tracks run from 0 to {len(self) - 1}")
         return int(track)
@@ -294,33 +299,21 @@ class Filtration:
 
         Args:
             tracks: those the filtration was built from.
-            limit: of a larger class, this many members spread evenly over the dendrogram stand for the class,
-                which bounds the distances computed to limit² / 2.
+            limit: so many members, spread evenly over the dendrogram, stand for a larger class.
         """
         self._check_tracks(tracks)
-        if limit < 1:
-            raise ValueError(f"limit must be at least 1, got {limit}")
-        members = self.members(c)
-        if len(members) > limit:
-            members = members[np.linspace(0, len(members) - 1, limit).round().astype(np.int64)]
-        members = np.sort(members)
-        return int(members[np.argmin(frechet_matrix(tracks.select(members)).sum(axis=1))])
+        return medoid(tracks, self.members(c), limit)
 
     def query(
         self, track: ArrayLike, tracks: Tracks, *, within: float | None = None, k: int | None = None
     ) -> tuple[Ints, Floats]:
-        """The tracks near a track that need not be one of them: all within so many metres, or the k nearest.
+        """The tracks near a track, which need not be one of them: all within so many metres, or the k nearest.
 
-        Args:
-            track: ``(n, d)`` positions, in the plane of the tracks.
-            tracks: those the filtration was built from. Their boxes are kept for the next query.
-            within, k, returns, raises: as ``TrackIndex.query``, which serves tracks without a filtration.
+        ``tracks`` are those the filtration was built from; their boxes are kept for the next query. All else is as in
+        ``wakefold.search.TrackIndex.query``, which serves tracks without a filtration.
         """
         self._check_tracks(tracks)
-        index = self.__dict__.get("_searched")
-        if index is None or index.tracks is not tracks:
-            index = self.__dict__["_searched"] = TrackIndex(tracks)
-        return index.query(track, within=within, k=k)
+        return self._index_of(tracks).query(track, within=within, k=k)
 
     # A useful handful of levels
 
@@ -337,17 +330,13 @@ class Filtration:
 
         A level returned is the lowest at which its partition holds.
         """
+        if number is not None and persistence is not None:
+            raise ValueError("give a number or a persistence, not both")
         if persistence is not None:
-            if number is not None:
-                raise ValueError("give a number or a persistence, not both")
-            if not (persistence >= 0 and np.isfinite(persistence)):
-                raise ValueError(f"persistence must be finite and not negative, got {persistence}")
             merged = slice(len(self), self.root)
             return dendrogram.levels_by_persistence(self.birth[merged], self.death[merged], persistence)
-        number = 8 if number is None else number
-        if number < 1:
-            raise ValueError(f"number must be at least 1, got {number}")
-        return dendrogram.levels_by_entropy(self.hi - self.lo, self.birth, self.parent, number)
+        size = self.hi - self.lo
+        return dendrogram.levels_by_entropy(size, self.birth, self.parent, 8 if number is None else number)
 
     # Other forms
 
@@ -361,8 +350,8 @@ class Filtration:
 
     def __repr__(self) -> str:
         top = f", joined at {self.birth[self.root]:.6g}" if len(self) > 1 else ""
-        merged = len(self.birth) - len(self)
-        return f"Filtration({len(self):,} tracks, {merged:,} merged classes, {self.linkage} linkage{top})"
+        counts = f"{len(self):,} tracks, {len(self.birth) - len(self):,} merged classes"
+        return f"Filtration({counts}, {self.linkage} linkage{top})"
 
     def _repr_html_(self) -> str:
         rows = []
@@ -376,8 +365,8 @@ class Filtration:
     # Derived tables
 
     @cached_property
-    def _index(self) -> dict[str, int]:
-        return {str(name): index for index, name in enumerate(self.ids)}
+    def _numbers(self) -> dict[str, int]:
+        return {name: index for index, name in enumerate(self.ids.tolist())}
 
     @cached_property
     def _children(self) -> tuple[Ints, Ints]:
@@ -389,6 +378,11 @@ class Filtration:
     @cached_property
     def _range_maxima(self) -> Floats:
         return dendrogram.range_maxima(self.gaps)
+
+    def _index_of(self, tracks: Tracks) -> TrackIndex:
+        if "_index" not in self.__dict__ or self.__dict__["_index"].tracks is not tracks:
+            self.__dict__["_index"] = TrackIndex(tracks)
+        return self.__dict__["_index"]
 
     def _check_tracks(self, tracks: Tracks) -> None:
         if len(tracks) != len(self) or not np.array_equal(tracks.ids, self.ids):

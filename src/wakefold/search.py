@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wakefold.distance import distances_from
+from wakefold.distance import distances_from, frechet_matrix
 from wakefold.features import MARGIN, boxes_of, extent, features_of, frame_of
 from wakefold.tracks import Floats, Tracks
 
@@ -20,6 +20,8 @@ class TrackIndex:
 
     Attributes:
         tracks: those searched.
+        frame: what their features are measured against.
+        boxes: of the tracks in feature space.
     """
 
     def __init__(self, tracks: Tracks, threads: int | None = None):
@@ -30,8 +32,8 @@ class TrackIndex:
         if len(tracks) == 0:
             raise ValueError("no tracks to search")
         self.tracks = tracks
-        self._frame = frame_of(tracks.points)
-        self._boxes = boxes_of(features_of(tracks, self._frame, threads))
+        self.frame = frame_of(tracks.points)
+        self.boxes = boxes_of(features_of(tracks, self.frame, threads))
 
     def query(self, track: ArrayLike, *, within: float | None = None, k: int | None = None) -> tuple[Ints, Floats]:
         """The tracks near this one, exactly.
@@ -60,10 +62,10 @@ class TrackIndex:
         asked = Tracks.from_arrays([track], ids=["query"])
         if asked.dim != self.tracks.dim:
             raise ValueError(f"a track of {asked.dim} coordinates among tracks of {self.tracks.dim}")
-        features, margin = self._measured(asked)
+        features, margin = self.measure(asked)
         if wanted < len(self.tracks):
             # Any so many tracks tell how far the nearest are at most. Tracks of small bounds do so best.
-            radius, rows = self._frame.unit / 1024, np.empty(0, np.int64)
+            radius, rows = self.frame.unit / 1024, np.empty(0, np.int64)
             while len(rows) < wanted and radius < 2 * reach:
                 rows, _ = self._near(features, min(radius, reach), margin)
                 radius *= 2
@@ -76,25 +78,29 @@ class TrackIndex:
             if len(found) >= wanted:
                 reach = min(reach, float(np.partition(found, wanted - 1)[wanted - 1]))
             size *= 2
-        indices = self._boxes.order[rows[: len(found)]]
+        indices = self.boxes.order[rows[: len(found)]]
         by = np.lexsort((indices, found))
         by = by[found[by] <= reach][:wanted]
         return indices[by], found[by]
 
-    def _measured(self, asked: Tracks) -> tuple[Singles, float]:
-        """Features ``(1, F)`` of a track, and what rounding can lift a lower bound by, metres."""
-        low, high = asked.points.min(axis=0), asked.points.max(axis=0)
-        middle, unit = self._frame.middle, self._frame.unit
-        # No two points, of this track and those searched, are further apart than this.
+    def measure(self, asked: Tracks) -> tuple[Singles, float]:
+        """Features ``(n, F)`` of other tracks, and what rounding can lift lower bounds by, metres.
+
+        Raises:
+            ValueError: positions so far apart that a distance overflows.
+        """
+        low, high = (np.array([reduce(axis) for axis in asked.points.T]) for reduce in (np.min, np.max))
+        middle, unit = self.frame.middle, self.frame.unit
+        # No two points, of these tracks and those searched, are further apart than this.
         diagonal = unit + 2 * extent(np.minimum(low, middle), np.maximum(high, middle))
         with np.errstate(over="ignore"):
-            return np.clip(features_of(asked, self._frame, 1), -FAR, FAR), MARGIN * diagonal
+            return np.clip(features_of(asked, self.frame), -FAR, FAR), MARGIN * diagonal
 
     def _near(self, features: Singles, reach: float, margin: float) -> tuple[Ints, Floats]:
         """Box positions of the tracks whose lower bound is at most ``reach``, and the bounds, metres, rising."""
         from wakefold.kernels.search import near
 
-        unit, boxes = self._frame.unit, self._boxes
+        unit, boxes = self.frame.unit, self.boxes
         rows, squares = np.empty(len(boxes.order), np.int64), np.empty(len(boxes.order), np.float32)
         shape = boxes.features, boxes.bounds, boxes.low, boxes.high, self.tracks.dim
         count = near(features, 0, *shape, limit_of(reach, margin, unit), rows, squares)
@@ -103,10 +109,24 @@ class TrackIndex:
         return rows[by], bounds[by]
 
     def _distances(self, asked: Tracks, rows: Ints) -> Floats:
-        return distances_from(asked.points, self.tracks, self._boxes.order[rows])
+        return distances_from(asked.points, self.tracks, self.boxes.order[rows])
 
 
 def limit_of(reach: float, margin: float, unit: float) -> float:
     """Square of the least lower bound, in units, that shows two tracks to be further apart than ``reach``."""
     with np.errstate(over="ignore"):
         return float(np.nextafter(np.square(np.float64((reach + margin) / unit)), np.inf))
+
+
+def medoid(tracks: Tracks, members: Ints, limit: int) -> int:
+    """The member whose summed Fréchet distance to the others is least (first track of several).
+
+    Args:
+        members: indices of tracks; of more than ``limit``, this many spread evenly over the list stand for all.
+    """
+    if limit < 1:
+        raise ValueError(f"limit must be at least 1, got {limit}")
+    if len(members) > limit:
+        members = members[np.linspace(0, len(members) - 1, limit).round().astype(np.int64)]
+    members = np.sort(members)
+    return int(members[np.argmin(frechet_matrix(tracks.select(members)).sum(axis=1))])

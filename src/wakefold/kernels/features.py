@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from wakefold.kernels.compile import inner, kernel
+
 # There is no NaN here, and knowing that lets LLVM vectorise a maximum.
 ORDERED = {"nnan", "nsz"}
 
 SAMPLE = 64  # tracks by which the widest feature of a box is chosen
 
 
-@njit(cache=True, nogil=True, fastmath=ORDERED)
+@njit(cache=True, nogil=True, fastmath=ORDERED, no_cfunc_wrapper=True)
 def track_features(points, offsets, middle, scale, directions, landmarks, first, last, axes, out):
     """Features of tracks, see ``wakefold.features``.
 
@@ -59,22 +61,26 @@ def track_features(points, offsets, middle, scale, directions, landmarks, first,
             f += 1
 
 
-@njit(cache=True, nogil=True)
-def part(features, f, order, start, stop, middle):
-    """Reorder ``order[start:stop]`` so that feature f is nowhere larger before ``middle`` than from there on.
+@inner
+def part(values, order, start, stop, middle):
+    """Reorder ``start:stop`` so that no value before ``middle`` is larger than one from there on.
 
     Hoare's FIND: Communications of the ACM 4 (1961) 321, Algorithm 65.
+
+    Args:
+        values, order: ``(M,)`` reordered alike.
     """
     first, last = start, stop - 1
     while first < last:
-        pivot = features[order[(first + last) // 2], f]
+        pivot = values[(first + last) // 2]
         i, j = first, last
         while i <= j:
-            while features[order[i], f] < pivot:
+            while values[i] < pivot:
                 i += 1
-            while pivot < features[order[j], f]:
+            while pivot < values[j]:
                 j -= 1
             if i <= j:
+                values[i], values[j] = values[j], values[i]
                 order[i], order[j] = order[j], order[i]
                 i += 1
                 j -= 1
@@ -86,7 +92,7 @@ def part(features, f, order, start, stop, middle):
             return
 
 
-@njit(cache=True, nogil=True, fastmath=ORDERED)
+@njit(cache=True, nogil=True, fastmath=ORDERED, no_cfunc_wrapper=True, no_cpython_wrapper=True)
 def corners(features, order, start, stop, step, low, high, n):
     """Corners of the box of every step-th track of ``order[start:stop]``, into row n."""
     for f in range(features.shape[1]):
@@ -98,7 +104,7 @@ def corners(features, order, start, stop, step, low, high, n):
             high[n, f] = value if value > high[n, f] else high[n, f]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def divide(features, order, starts, stops, low, high):
     """Halve the tracks at the median of their widest feature, again and again, and note the corners of the boxes.
 
@@ -108,14 +114,16 @@ def divide(features, order, starts, stops, low, high):
         starts, stops: ``(B,)`` the halves of box n are 2 n + 1 and 2 n + 2, leaves come last.
         low, high: ``(B, F)`` corners, written.
     """
-    inner = len(starts) // 2
+    inner, values = len(starts) // 2, np.empty(len(order), features.dtype)
     for n in range(inner):
         corners(features, order, starts[n], stops[n], 1 + (stops[n] - starts[n]) // SAMPLE, low, high, n)
         widest = 0
         for f in range(features.shape[1]):
             if high[n, f] - low[n, f] > high[n, widest] - low[n, widest]:
                 widest = f
-        part(features, widest, order, starts[n], stops[n], stops[2 * n + 1])
+        for i in range(starts[n], stops[n]):
+            values[i] = features[order[i], widest]
+        part(values, order, starts[n], stops[n], stops[2 * n + 1])
     for n in range(inner, len(starts)):
         corners(features, order, starts[n], stops[n], 1, low, high, n)
     for n in range(inner - 1, -1, -1):

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from wakefold.kernels.compile import kernel
 from wakefold.kernels.features import ORDERED
 
 
-@njit(cache=True, nogil=True, fastmath=ORDERED)
+@njit(cache=True, nogil=True, fastmath=ORDERED, no_cfunc_wrapper=True, no_cpython_wrapper=True)
 def gap_squared(queries, q, low, high, n, d, limit):
     """Squared lower bound of the distance of query q to box n; from the limit on it may be too low."""
     worst = np.float32(0.0)
@@ -26,7 +27,7 @@ def gap_squared(queries, q, low, high, n, d, limit):
     return max(worst, widest * widest)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def near(queries, q, features, bounds, low, high, d, limit, rows, squares):
     """Tracks with a squared bound below the limit.
 
