@@ -10,7 +10,7 @@ from wakefold.kernels.compile import inner, kernel
 # There is no NaN here, and knowing that lets LLVM vectorise a maximum.
 ORDERED = {"nnan", "nsz"}
 
-SAMPLE = 64  # tracks by which the widest feature of a box is chosen
+SAMPLE = 16  # tracks by which the widest feature of a box is chosen
 
 
 @njit(cache=True, nogil=True, fastmath=ORDERED, no_cfunc_wrapper=True)

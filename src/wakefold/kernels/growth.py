@@ -63,19 +63,22 @@ def edges_to(start, stop, points, offsets, features, entries, others, other_offs
     inner, d = len(bounds) - 2, len(axes)
     pairs, heights, count = np.empty((1024, 2), np.int64), np.empty(1024), 0
     stack, gaps = np.empty(64, np.int64), np.empty(64, np.float32)
-    places, found = np.empty(len(order), np.int64), np.empty(len(order))
-    everything = np.float32(np.inf)
+    fullest = 0
+    for leaf in range(inner + 1):
+        fullest = max(fullest, bounds[leaf + 1] - bounds[leaf])
+    places, found = np.empty(fullest, np.int64), np.empty(fullest)
     for x in range(start, stop):
         entry, way = entries[x], 0.0 if entries[x] >= 0 else np.inf
         stack[0], gaps[0], top = 0, 0.0, 1
         while top > 0:
             top -= 1
             n = stack[top]
-            if gaps[top] >= limit_by(way, entry, first[n], last[n], maxima, scale):
+            limit = limit_by(way, entry, first[n], last[n], maxima, scale)
+            if gaps[top] >= limit:
                 continue
             if n < inner:
-                left = gap_squared(features, x, low, high, 2 * n + 1, d, everything)
-                right = gap_squared(features, x, low, high, 2 * n + 2, d, everything)
+                left = gap_squared(features, x, low, high, 2 * n + 1, d, limit)
+                right = gap_squared(features, x, low, high, 2 * n + 2, d, limit)
                 nearer = 1 if left <= right else 0  # of the two, on top
                 stack[top + 1 - nearer], gaps[top + 1 - nearer] = 2 * n + 2, right
                 stack[top + nearer], gaps[top + nearer] = 2 * n + 1, left
@@ -85,7 +88,7 @@ def edges_to(start, stop, points, offsets, features, entries, others, other_offs
             for y in range(bounds[n - inner], bounds[n - inner + 1]):
                 limit = limit_by(way, entry, rank[y], rank[y], maxima, scale)
                 asked_by_other = entries[x] >= 0 and order[y] <= x
-                if not asked_by_other and gap_squared(features, x, boxed, boxed, y, d, everything) < limit:
+                if not asked_by_other and gap_squared(features, x, boxed, boxed, y, d, limit) < limit:
                     places[m] = y
                     m += 1
             if m == 0:
