@@ -1,15 +1,21 @@
-"""The exact filtration of large sets: cost beside the peers' matrix, and growth with the number of tracks.
+"""The exact filtration of large sets: cost beside the peers' matrix, growth with the number of tracks, adding tracks.
 
-``python -m benchmarks.filtration`` in the environment of ``make bench``. The peers (traj-dist-rs, tslearn) offer the
-matrix only; their CPU seconds per pair are measured on a sample of each set, in turn with our fits, and multiplied by
-the number of pairs. Clustering that matrix would come on top. Grand Central is used where ``../shared/data`` has it.
-Memory is the highest resident set while fitting above that before it (Linux only).
+``python -m benchmarks.filtration`` in the environment of ``make bench``; ``--million`` goes on to 1,000,000 tracks,
+``--plot growth.png`` draws the growth. The peers (traj-dist-rs, tslearn) offer the matrix only; their CPU seconds per
+pair are measured on a sample of each set, in turn with our runs, and multiplied by the number of pairs. Clustering that
+matrix would come on top. Grand Central is used where ``../shared/data`` has it. Memory is the highest resident set
+while fitting above that before it (Linux only).
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import os
+import subprocess
 import sys
+import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 from time import perf_counter, process_time
@@ -17,10 +23,25 @@ from time import perf_counter, process_time
 import numpy as np
 
 from benchmarks.frechet import clustered_tracks
+from wakefold.distance import frechet_matrix
 from wakefold.filtration import Filtration
 from wakefold.tracks import Tracks
 
 GRAND_CENTRAL = Path(__file__).resolve().parents[2] / "shared/data/grand_central/grand_central.parquet"
+
+FIRST_CALL = """
+import json, sys, time
+start = time.perf_counter()
+import numpy as np
+import numba, scipy.cluster.hierarchy
+import wakefold as wf
+rng = np.random.default_rng(0)
+tracks = wf.Tracks.from_arrays(list(np.cumsum(rng.normal(size=(int(sys.argv[1]), 10, 2)), axis=1)))
+fit = wf.Filtration.fit
+imported = time.perf_counter()
+fit(tracks)
+print(json.dumps([imported - start, time.perf_counter() - imported]))
+"""
 
 
 def two_hub_tracks(count: int, length: int = 100, seed: int = 0) -> Tracks:
@@ -77,10 +98,10 @@ def peers_per_pair(tracks: Tracks, sample: int, seed: int = 0) -> dict[str, floa
     return seconds
 
 
-def timed_fit(tracks: Tracks) -> tuple[float, float]:
-    """CPU and wall seconds of one fit."""
+def timed(run: Callable[[], object]) -> tuple[float, float]:
+    """CPU and wall seconds."""
     cpu, wall = process_time(), perf_counter()
-    Filtration.fit(tracks)
+    run()
     return process_time() - cpu, perf_counter() - wall
 
 
@@ -94,40 +115,104 @@ def peak_memory(reset: bool = False) -> float:
         return float("nan")
 
 
-def main(quick: bool = False) -> None:
-    count, sample, rounds = (300, 40, 1) if quick else (1000, 300, 3)
-    sets = {"clustered": clustered_tracks(count), "two hubs": two_hub_tracks(count)}
-    if GRAND_CENTRAL.exists():
-        sets["Grand Central"] = grand_central()
-    Filtration.fit(clustered_tracks(700))  # compile
-    peers_per_pair(sets["clustered"], 3)
-    print(f"{os.cpu_count()} cores; medians of {rounds}\n")
-    print("| tracks | mean points | CPU s | wall s | best peer's matrix, CPU s (from a sample) | ratio |")
-    print("|---|---|---|---|---|---|")
-    for name, tracks in sets.items():
-        fits, peers = [], []
-        for seed in range(rounds):
-            fits.append(timed_fit(tracks))
-            peers.append(min(peers_per_pair(tracks, sample, seed).values()))
-        cpu, wall = (median(column) for column in zip(*fits, strict=True))
-        peer = median(peers) * len(tracks) * (len(tracks) - 1) / 2
-        mean = len(tracks.points) / len(tracks)
-        print(f"| {len(tracks):,} {name} | {mean:.0f} | {cpu:.3g} | {wall:.3g} | {peer:.4g} | {peer / cpu:,.0f} |")
+def first_call(count: int, cache: str) -> tuple[float, float]:
+    """Seconds of importing numba and all else, and of the first fit, in a new process."""
+    command = [sys.executable, "-c", FIRST_CALL, str(count)]
+    done = subprocess.run(command, capture_output=True, check=True, env=os.environ | {"NUMBA_CACHE_DIR": cache})
+    return json.loads(done.stdout)
 
-    base = sets.get("Grand Central", sets["clustered"])
-    counts = [3162, 10_000] if quick else [3162, 10_000, 31_623, 100_000]
-    print("\n| tracks drawn | CPU s | wall s | peak memory above the data, MiB |\n|---|---|---|---|")
+
+def beside_peers(quick: bool) -> None:
+    count, sample, rounds = (300, 40, 1) if quick else (1000, 300, 3)
+    clustered = clustered_tracks(count)
+    runs = {
+        "float32 matrix, clustered": (clustered, lambda: frechet_matrix(clustered, dtype="float32")),
+        "tree, clustered": (clustered, lambda: Filtration.fit(clustered)),
+        "tree, two hubs": ((hubs := two_hub_tracks(count)), lambda: Filtration.fit(hubs)),
+    }
+    if GRAND_CENTRAL.exists():
+        crowd = grand_central()
+        runs["tree, Grand Central"] = crowd, lambda: Filtration.fit(crowd)
+    for _, run in runs.values():
+        run()  # compile
+    peers_per_pair(clustered, 3)
+    found: dict[str, list[tuple[float, float, float]]] = {name: [] for name in runs}
+    for seed in range(rounds):
+        for name, (tracks, run) in runs.items():
+            drawn = sample if len(tracks) == count else 5 * sample
+            found[name].append((*timed(run), min(peers_per_pair(tracks, drawn, seed).values())))
+    print("| | tracks | mean points | CPU s | wall s | best peer's matrix, CPU s (from a sample) | ratio, CPU |")
+    print("|---|---|---|---|---|---|---|")
+    for name, (tracks, _) in runs.items():
+        cpu, wall, pair = (median(column) for column in zip(*found[name], strict=True))
+        peer = pair * len(tracks) * (len(tracks) - 1) / 2
+        mean = len(tracks.points) / len(tracks)
+        print(f"| {name} | {len(tracks):,} | {mean:.0f} | {cpu:.3g} | {wall:.3g} | {peer:.4g} | {peer / cpu:,.0f} |")
+
+
+def growth(base: Tracks, counts: list[int], plot: str | None) -> None:
+    print("\n| tracks drawn | points | CPU s | wall s | peak memory above the data, MiB |\n|---|---|---|---|---|")
     seconds = []
     for count in counts:
         tracks = drawn_from(base, count)
         before = peak_memory(reset=True)
-        cpu, wall = timed_fit(tracks)
+        cpu, wall = timed(lambda tracks=tracks: Filtration.fit(tracks))
         peak = peak_memory() - before
         seconds.append(cpu)
-        print(f"| {count:,} | {cpu:.3g} | {wall:.3g} | {peak:,.0f} |")
-    slope = np.polyfit(np.log(counts), np.log(seconds), 1)[0]
+        print(f"| {count:,} | {len(tracks.points):,} | {cpu:.3g} | {wall:.3g} | {peak:,.0f} |", flush=True)
+    slope, level = np.polyfit(np.log(counts), np.log(seconds), 1)
     print(f"\nCPU seconds grow as the number of tracks to the power {slope:.2f}.")
+    if plot:
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(4.5, 3), layout="constrained")
+        ax = figure.subplots()
+        ax.loglog(counts, seconds, "o", color="#1f4e79")
+        ax.loglog(counts, np.exp(level) * np.array(counts) ** slope, color="#1f4e79", lw=1)
+        ax.set(xlabel="tracks", ylabel="CPU seconds of a fit", title=f"exponent {slope:.2f}")
+        ax.grid(alpha=0.3)
+        figure.savefig(plot, dpi=110)
+
+
+def adding(base: Tracks, count: int, rounds: int = 3) -> None:
+    """1,000 tracks more, beside the fit; the boxes of the old tracks are made anew, or kept from a query."""
+    tracks, drawn = drawn_from(base, count), drawn_from(base, 1000, seed=1)
+    new = Tracks.from_arrays(list(drawn), ids=[f"new {k}" for k in range(len(drawn))])
+    found = []
+    for _ in range(rounds):
+        fit = timed(lambda: Filtration.fit(tracks))
+        tree = Filtration.fit(tracks)
+        first, again = (
+            timed(lambda tree=tree: tree.extend(tracks, new)),
+            timed(lambda tree=tree: tree.extend(tracks, new)),
+        )
+        queries = timed(lambda tree=tree: [tree.query(track, tracks, k=5) for track in drawn])
+        found.append([fit, first, again, queries])
+    median_of = np.median(np.array(found), axis=0)
+    print(f"\n| {count:,} tracks | CPU s | wall s | share of the fit, CPU | wall |\n|---|---|---|---|---|")
+    names = "fit", "1,000 added", "1,000 added, boxes at hand", "5 nearest, 1,000 times"
+    for name, (cpu, wall) in zip(names, median_of, strict=True):
+        share = f"{cpu / median_of[0, 0]:.1%} | {wall / median_of[0, 1]:.1%}"
+        print(f"| {name} | {cpu:.3g} | {wall:.3g} | {share} |")
+
+
+def main(quick: bool = False, million: bool = False, plot: str | None = None) -> None:
+    print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f} before\n")
+    beside_peers(quick)
+    base = grand_central() if GRAND_CENTRAL.exists() else clustered_tracks(1000)
+    counts = [1000, 3162, 10_000] if quick else [1000, 3162, 10_000, 31_623, 100_000]
+    growth(base, counts + [316_228, 1_000_000] * million, plot)
+    adding(base, counts[-1])
+    print("\n| new process | imports (numba, scipy), s | first fit, nothing cached, s | cached, s |\n|---|---|---|---|")
+    for count in (100, 3000):
+        with tempfile.TemporaryDirectory() as cache:
+            (_, cold), (imports, cached) = first_call(count, cache), first_call(count, cache)
+        print(f"| {count:,} tracks | {imports:.2f} | {cold:.2f} | {cached:.2f} |")
 
 
 if __name__ == "__main__":
-    main(quick="--quick" in sys.argv[1:])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--million", action="store_true")
+    parser.add_argument("--plot", metavar="FILE")
+    main(**vars(parser.parse_args()))
