@@ -259,20 +259,17 @@ def test_info_of_files_and_models(room: Path) -> None:
     ("line", "code", "said"),
     [
         ("learn nowhere.csv -o m", 1, "error: nowhere.csv"),
-        ("learn fixes.csv -o harbour.csv", 1, "error: "),
-        ("learn harbour.csv -o m --spacing wide", 1, "'wide' is not a length"),
         ("learn harbour.csv -o m --min-length 900km", 1, "no track is left"),
-        ("learn harbour.csv -o m --stop 100m", 2, "--stop"),
-        ("learn harbour.csv -o m --columns agent", 2, "--columns"),
+        ("learn harbour.csv -o m --spacing 0.001m", 1, "give a larger --spacing"),
+        ("learn harbour.csv -o m --columns agent=who", 1, "no column 'who'"),
         ("learn harbour.csv", 2, "--output"),
         ("track people.csv fixes.csv", 1, "not a stored model"),
-        ("track harbour.model people.csv", 1, "error: "),
-        ("track harbour.model fixes.csv --levels high", 1, "'high' is not a length"),
+        ("track harbour.model people.csv", 1, "--columns"),
         ("track harbour.model fixes.csv --filter bl1 --rule gsi2017", 2, "--rule"),
         ("track harbour.model fixes.csv --filter bl2 --levels 2", 2, "--levels"),
-        ("track harbour.model fixes.csv --particles 0", 1, "particles must be at least 1"),
+        ("track harbour.model fixes.csv --forecast 99999d", 2, "--forecast"),
+        ("track harbour.model fixes.csv -o fixes.csv", 2, "--output"),
         ("show harbour.model --geojson c.json", 2, "--level"),
-        ("show harbour.model -o picture.xyz", 1, "error: "),
         ("frobnicate", 2, "No such command"),
     ],
 )
@@ -283,6 +280,127 @@ def test_failures_are_one_line_and_an_exit_code(line: str, code: int, said: str,
     assert "Traceback" not in err
     if code == 1:
         assert len(err.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        "learn --spacing wide",
+        "learn --spacing 0",
+        "learn --epsilon 0",
+        "learn --threads 0",
+        "learn --stop 100m",
+        "learn --stop 0,10min",
+        "learn --max-gap 0",
+        "learn --min-length long",
+        "learn --columns agent",
+        "learn --output people.csv",
+        "learn --output people.csv/m",
+        "learn --output harbour.model/m",
+        "learn --output .",
+        "track --levels high",
+        "track --levels 500",
+        "track --levels 0",
+        "track --forecast soon",
+        "track --particles 0",
+        "track --depletion nan",
+        "track --sd 0",
+        "track --seed -1",
+        "track --max-gap 0",
+        "track --columns where=lon",
+        "track --output .",
+        "track --output harbour.model/a.csv",
+        "track --output no/where.csv",
+        "track --picture a.xyz",
+        "show --level -1",
+        "show --output a.xyz",
+        "show --newick no/where.nwk",
+        "demo --out people.csv",
+    ],
+)
+def test_a_wrong_option_is_named_before_anything_is_read(options: str, room: Path) -> None:
+    command, option, value = options.split()
+    names = {"learn": "no.csv", "track": "no.model no.csv", "show": "no.model", "demo": ""}[command]
+    rest = "-o m" if command == "learn" and option != "--output" else ""
+    code, out, err = run(f"{command} {names} {option} {value} {rest}")
+    assert (code, out) == (2, "")
+    assert option in err
+
+
+def test_heights_need_a_unit_or_a_comma(room: Path) -> None:
+    assert "heights are written 500m or 500,2000" in run("track harbour.model fixes.csv --levels 500")[2]
+    for levels in ("500m", "500,2000"):
+        assert "class@500," in run(f"track harbour.model fixes.csv --levels {levels} --particles 5")[1]
+
+
+def test_equal_horizons_are_forecast_once(room: Path) -> None:
+    header = run("track harbour.model fixes.csv --forecast 5min,300s --particles 5")[1].splitlines()[0]
+    assert header.count("lon+300s") == 1
+
+
+def test_a_fix_far_from_every_track_is_off_the_map(room: Path) -> None:
+    place = {"near": (-73.99, 40.6002), "far": (-73.99, 40.9)}
+    given = "agent,time,lon,lat,sd\n"
+    for minute, where in enumerate(("near", "far", "near", "far")):
+        given += "a,2020-12-08T06:{:02d}:00Z,{},{},30\n".format(minute, *place[where])
+    given += "b,2020-12-08T06:00:00Z,-73.99,40.9,30\n"
+    _, out, _ = run("track harbour.model -", given)
+    events = [row["event"] for row in csv.DictReader(io.StringIO(out))]
+    assert events == ["start", "off-map", "recovery", "off-map", "off-map"]
+
+
+def test_no_observation_is_an_error(room: Path) -> None:
+    code, _, err = run("track harbour.model fixes.csv --agent nobody")
+    assert code == 1
+    assert "no observation of agent nobody" in err
+    for given in ("", "agent,time,lon,lat\n"):
+        code, _, err = run("track harbour.model -", given)
+        assert code == 1
+        assert "no observation" in err
+    code, _, err = run("track harbour.model fixes.csv --agent tug --agent nobody")
+    assert code == 0
+    assert "no observation of agent nobody" in err
+
+
+def test_plane_coordinates_for_a_geodetic_model_are_pointed_out_once(room: Path) -> None:
+    code, out, err = run("track harbour.model -", "agent,time,x,y\na,1,0,0\na,61,100,0\n")
+    assert code == 0
+    assert len(out.splitlines()) == 3
+    assert err.count("metres about 40.6") == 1
+    code, _, err = run("track harbour.model -", "agent,time,x\na,1,0\n")
+    assert code == 1
+    assert "refused: x: the model is 2-D" in err
+
+
+def test_columns_by_position_in_a_table_without_a_header(room: Path) -> None:
+    (room / "bare.csv").write_text("".join(harbour().splitlines(keepends=True)[1:]))
+    code, out, _ = run("info bare.csv --columns agent=0,time=1,lon=2,lat=3 --json")
+    assert (code, json.loads(out)["points"]) == (0, 210)
+
+
+def test_ships_at_rest_do_not_choose_the_spacing(room: Path) -> None:
+    rows = [f"moored{k},2020-12-01T06:{i:02d}:00Z,-74.0{i % 2},40.6\n" for k in range(30) for i in range(3)]
+    rows = [row.replace("-74.01", "-74.0001").replace("-74.00,", "-74.0000,") for row in rows]
+    (room / "berths.csv").write_text(harbour() + "".join(rows))
+    spacing = [
+        json.loads(run(f"learn {name} -o s.model --json")[1])["spacing"] for name in ("harbour.csv", "berths.csv")
+    ]
+    assert spacing[0] == pytest.approx(spacing[1], rel=1e-3)
+    (room / "berths.csv").write_text("agent,time,lon,lat\n" + "".join(rows))
+    assert json.loads(run("learn berths.csv -o s.model --json")[1])["spacing"] == 20.0
+
+
+def test_info_names_the_side_and_no_invented_date(room: Path) -> None:
+    (room / "clock.csv").write_text("agent,time,lon,lat\na,0,-123.1,-10\na,60,-75.7,10\n")
+    said = run("info clock.csv")[1]
+    assert "10.0000°S..10.0000°N, 123.1000°W..75.7000°W" in said
+    assert "1970" not in said
+
+
+def test_any_locale_shows_any_text(room: Path) -> None:
+    environ = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([*WAKEFOLD, "info", "harbour.csv"], capture_output=True, env=environ, check=True)
+    assert "74.0000°W" in done.stdout.decode("utf-8")
 
 
 def test_debug_shows_the_traceback(room: Path) -> None:

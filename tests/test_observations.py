@@ -114,6 +114,39 @@ def test_bad_json_lines_are_refused(text: str) -> None:
     assert isinstance(last, obs.Observation)
 
 
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        ('"lon":500,"lat":2', "lon: must be degrees within"),
+        ('"lon":5', "lat: missing"),
+        ('"y":5', "x: missing"),
+        ('"x":1e300,"y":1', "x: 1e+300 is out of range"),
+        ('"x":"1e400","y":1', "x: '1e400' is out of range"),
+        ('"x":"east","y":1', "x: 'east' is not a number"),
+        ('"x":1,"y":1,"sd":-2', "sd: must be a positive number"),
+        ('"class":1,"level":-1', "level: must not be below 0"),
+        ('"class":1,"confidence":0', "confidence: must be above 0"),
+        ('"class":"track:' + "a" * 300 + '"', "class: longer than"),
+    ],
+)
+def test_a_refusal_begins_with_the_field_that_is_wrong(line: str, why: str) -> None:
+    (refused,) = feed('{"agent":"a","time":1,' + line + "}")
+    assert isinstance(refused, obs.Refused)
+    assert refused.why.startswith(why)
+
+
+def test_a_refusal_repeats_little_of_a_long_value() -> None:
+    (refused,) = feed("agent,time,x,y\na," + "9" * 5000 + "x,1,2\n")
+    assert isinstance(refused, obs.Refused)
+    assert refused.why.startswith("time: '999")
+    assert len(refused.why) < 130
+
+
+def test_columns_that_are_not_there_are_an_error() -> None:
+    with pytest.raises(ReadError, match=r"no column 'px' \(for x\)"):
+        feed("agent,time,x,y\na,1,2,3\n", {"x": "px"})
+
+
 def test_a_header_that_does_not_say_who_and_when_is_an_error() -> None:
     with pytest.raises(ReadError, match="agent and time"):
         feed("speed,lon,lat\n1,2,3\n")
@@ -148,6 +181,19 @@ def answer(names: tuple[str, ...] = ("lon", "lat")) -> obs.Answer:
     place = obs.Place(names, (-74.0123456789, 40.6), 12.3456)
     best = [obs.Best(500.0, 17, 0.75, 4), obs.Best(2000.0, 30, 1.0, 9)]
     return obs.Answer('fer,"ry', "2020-12-08T06:00Z", "step", place, 88.88, 1, best, [(300.0, place)])
+
+
+def test_levels_that_agree_in_six_digits_have_names_of_their_own() -> None:
+    (names,) = csv.reader([obs.csv_header(("x",), (1000.0001, 1000.0002, 2000.0), (300.0, 300.00001))])
+    assert len(set(names)) == len(names)
+    assert {"class@1000.0001", "class@1000.0002", "class@2000", "x+300s", "x+300.00001s"} <= set(names)
+
+
+def test_geodetic_tracks_without_dates_keep_their_own_clock() -> None:
+    lon, lat = [1.0, 1.1], [2.0, 2.0]
+    for begin, stamp in ((0.0, 0.0), (1.6e9, "2020-09-13T12:26:40.000Z")):
+        tracks = wf.Tracks.from_columns(agent=["a", "a"], time=[begin, begin + 1], lon=lon, lat=lat)
+        assert next(obs.of_tracks(tracks)).stamp == stamp
 
 
 def test_answers_in_csv_have_the_header_s_columns_and_in_json_the_same_values() -> None:

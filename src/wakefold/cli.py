@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import io
 import json
+import sys
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from wakefold import __version__, cli_support
-from wakefold.cli_support import fail, guarded, level_table, model_facts, progress, say
+from wakefold import __version__, cli_options, cli_support
+from wakefold.cli_support import fail, guarded, level_table, model_facts, naming, progress, say
 
-if TYPE_CHECKING:
-    from wakefold.tracks import Tracks
+MOST_POINTS = 20_000_000  # of a model: far more than can be compared
 
 app = typer.Typer(
     name="wakefold",
@@ -64,7 +65,10 @@ def _arg(help: str) -> Any:
 
 Columns = Annotated[
     str,
-    _opt("Columns of a table: agent=...,time=...,lon=...,lat=... or x=...,y=..."),
+    _opt(
+        "Columns of a table: agent=...,time=...,lon=...,lat=... or x=...,y=...; by position (0, 1, ...) if it has "
+        "no header."
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, for a program to read.")]
 
@@ -99,8 +103,8 @@ def learn(
     spacing: Annotated[
         str,
         typer.Option(
-            help="Distance between the points of a track, such as 200m. auto: a fiftieth of the median track, "
-            "and at most 200 m for geodetic data."
+            help="Distance between the points of a track, such as 200m. auto: a fiftieth of the median track; "
+            "for geodetic data of those that get farther than 1 km, and 20 m to 200 m."
         ),
     ] = "auto",
     max_gap: Annotated[str, typer.Option(help="Cut a track where its agent is silent for longer.")] = "30min",
@@ -115,7 +119,7 @@ def learn(
         _opt("Radius of the velocity field, such as 500m; learned without."),
     ] = None,
     columns: Columns = "",
-    threads: Annotated[int | None, _opt("Of the distances; all cores without.")] = None,
+    threads: Annotated[int | None, typer.Option(help="Of the distances; all cores without.", min=1)] = None,
     json_: Json = False,
 ) -> None:
     """Learn a model from past tracks.
@@ -127,16 +131,23 @@ def learn(
       $ wakefold learn people.csv --columns agent=who,time=t,x=px,y=py -o forum.model
     """
     import wakefold as wf
-    from wakefold.units import metres
 
+    cli_options.model_directory(output)
+    step = None if spacing == "auto" else cli_options.length("--spacing", spacing)
+    cuts = {"max_gap": cli_options.duration("--max-gap", max_gap), **cli_options.stop(stop)}
+    shortest = cli_options.length("--min-length", min_length, zero=True)
+    radius = None if epsilon is None else cli_options.length("--epsilon", epsilon)
+    names = cli_options.columns(columns)
     with progress("reading") as update:
-        read, report = wf.read_tracks(tracks, columns=_columns(columns), progress=update)
+        read, report = wf.read_tracks(tracks, columns=names, progress=update)
     show = say if json_ else print
     show(str(report))
-    pieces = read.segment(max_gap=max_gap, **_stop(stop)).filter(min_length=min_length)
+    pieces = read.segment(**cuts).filter(min_length=shortest)
     if not len(pieces):
         fail("no track is left to learn from: " + "; ".join(pieces.notes))
-    step = _auto_spacing(pieces) if spacing == "auto" else metres(spacing)
+    step = step or cli_options.auto_spacing(pieces) or fail("no track moves: give --spacing")
+    if (points := cli_options.points_after(pieces, step)) > MOST_POINTS:
+        fail(f"a point every {step:.4g} m makes {points:,} points, over {MOST_POINTS:,}: give a larger --spacing")
     pieces = pieces.resample(spacing=step)
     for note in pieces.notes:
         show(f"  {note}")
@@ -146,11 +157,12 @@ def learn(
         model = wf.learn(
             pieces,
             linkage=linkage.value,
-            epsilon=None if epsilon is None else metres(epsilon),
+            epsilon=radius,
             threads=threads,
             progress=update,
         )
-    model.save(output)
+    with naming(output):
+        model.save(output)
     tree = model.filtration
     if json_:
         print(json.dumps({"model": str(output), "report": report.to_dict(), **model_facts(model), "spacing": step}))
@@ -170,7 +182,8 @@ def track(
     levels: Annotated[
         str | None,
         typer.Option(
-            help="Levels to answer at: how many (3 without), or heights such as 500,2000 or 500m.", show_default=False
+            help="Levels to answer at: heights such as 500,2000 or 500m, or how many (3 without), picked by entropy.",
+            show_default=False,
         ),
     ] = None,
     filter: Annotated[FilterName, typer.Option(help="Who follows.")] = FilterName.mhpf,
@@ -180,11 +193,11 @@ def track(
         str | None,
         _opt("Accuracy of fixes that tell none, such as 20m; the model's without."),
     ] = None,
-    particles: Annotated[int, typer.Option(help="Particles of each agent.")] = 200,
+    particles: Annotated[int, typer.Option(help="Particles of each agent.", min=1, max=1_000_000)] = 200,
     depletion: Annotated[
         float, typer.Option(help="Share of the particles whose class is drawn anew, from all tracks, in every step.")
     ] = 0.001,
-    seed: Annotated[int, typer.Option(help="Of all random numbers.")] = 0,
+    seed: Annotated[int, typer.Option(help="Of all random numbers.", min=0)] = 0,
     forecast: Annotated[str, _opt("Forecasts to add to every answer, such as 5min,15min.")] = "",
     format: Annotated[FormName | None, _opt("Of the answers; that of the observations without.")] = None,
     columns: Columns = "",
@@ -206,16 +219,29 @@ def track(
     """
     import wakefold as wf
     from wakefold import cli_track
-    from wakefold.units import metres, seconds
 
     if rule is not None and filter is not FilterName.mhpf:
-        raise typer.BadParameter("only --filter mhpf has update rules", param_hint="--rule")
+        cli_options.wrong("--rule", "only --filter mhpf has update rules")
     if levels is not None and filter is FilterName.bl2:
-        raise typer.BadParameter("--filter bl2 tells no classes apart", param_hint="--levels")
-    known = wf.load(model)
-    heights = [] if filter is FilterName.bl2 else cli_track.heights(levels or "3", known.filtration)
+        cli_options.wrong("--levels", "--filter bl2 tells no classes apart")
+    if not 0 <= depletion <= 1:
+        cli_options.wrong("--depletion", f"{depletion:g} is not a share from 0 to 1")
+    asked = [] if filter is FilterName.bl2 else cli_options.levels(levels or "3")
     settings: dict[str, Any] = {"likelihood": likelihood.value, "depletion": depletion, "seed": seed}
-    settings |= {} if sd is None else {"sd": metres(sd)}
+    settings |= {} if sd is None else {"sd": cli_options.length("--sd", sd)}
+    silence = cli_options.duration("--max-gap", max_gap)
+    horizons = cli_options.horizons(forecast)
+    names = cli_options.feed_columns(columns)
+    if picture is not None:
+        cli_options.output_file("--picture", picture, picture=True)
+    if output != "-":
+        path = cli_options.output_file("--output", Path(output))
+        if path.exists() and Path(observations).exists() and path.samefile(observations):
+            cli_options.wrong("--output", f"{output} holds the observations")
+    known = wf.load(model)
+    if horizons and horizons[-1] > (most := cli_track.longest_step(known)):
+        cli_options.wrong("--forecast", f"{horizons[-1]:g} s is too far ahead for this model, {most:g} s at most")
+    heights = cli_options.heights(asked, known.filtration)
     match filter:
         case FilterName.mhpf:
             settings |= {} if rule is None else {"rule": rule.value}
@@ -224,17 +250,16 @@ def track(
             follower = wf.BL2(known, particles, **settings)
         case _:
             follower = wf.BL1(known, particles, coarse=filter is FilterName.bl1_coarse, **settings)
-    horizons = sorted(seconds(part) for part in forecast.split(",") if part.strip())
-    crowd = cli_track.Crowd(follower, heights, horizons, max_agents, seconds(max_gap), say)
+    crowd = cli_track.Crowd(follower, heights, horizons, max_agents, silence, say)
     album = cli_track.Album(heights) if picture is not None else None
     form = None if format is None else format.value
     with progress("following", shown=output != "-") as update:
         try:
             refused = cli_track.run(
-                crowd, observations, output, form, _columns(columns), frozenset(agent or ()), album, update, say
+                crowd, observations, output, form, names, frozenset(agent or ()), album, update, say
             )
         finally:
-            if album is not None and picture is not None:
+            if album is not None and album.agent is not None and picture is not None:
                 cli_track.draw(album, known, picture)
     if refused:
         raise typer.Exit(cli_support.FAILED)
@@ -266,13 +291,17 @@ def show(
     """
     import wakefold as wf
     from wakefold import export
-    from wakefold.units import metres
 
     if geojson is not None and level is None:
-        raise typer.BadParameter("say of which --level", param_hint="--geojson")
+        cli_options.wrong("--geojson", "say of which --level")
+    height = None if level is None else cli_options.length("--level", level, zero=True)
+    for option, path in (("--newick", newick), ("--linkage", linkage), ("--geojson", geojson)):
+        if path is not None:
+            cli_options.output_file(option, path)
+    if output is not None:
+        cli_options.output_file("--output", output, picture=True)
     known = wf.load(model)
     tracks, tree = known.tracks, known.filtration
-    height = None if level is None else metres(level)
     if json_:
         print(json.dumps({"model": str(model), **model_facts(known)}))
     else:
@@ -313,10 +342,10 @@ def info(
     """
     from wakefold.cli_info import about
 
-    known = []
+    names, known = cli_options.columns(columns), []
     for path in files:
         with progress("reading") as update:
-            text, facts = about(path, _columns(columns), update)
+            text, facts = about(path, names, update)
         known.append(facts)
         if not json_:
             print(text)
@@ -339,6 +368,8 @@ def demo(
     """
     from wakefold import demo as harbour
 
+    if out.exists() and not out.is_dir():
+        cli_options.wrong("--out", f"{out} is not a directory")
     with progress("demo") as update:
         results = harbour.run(out, update, (lambda line: None) if json_ else print)
     if json_:
@@ -346,36 +377,8 @@ def demo(
 
 
 def main() -> None:
-    """Entry point of the ``wakefold`` command."""
+    """Entry point of the ``wakefold`` command. It writes UTF-8 in every locale, as files and names hold anything."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(encoding="utf-8", errors="backslashreplace")
     app()
-
-
-def _columns(text: str) -> dict[str, str] | None:
-    """``agent=mmsi,time=t`` as a dict."""
-    if not text:
-        return None
-    pairs = [part.partition("=") for part in text.split(",")]
-    if not all(name.strip() and equals and value.strip() for name, equals, value in pairs):
-        raise typer.BadParameter(f"{text!r} is not like agent=mmsi,time=t,x=px,y=py", param_hint="--columns")
-    return {name.strip(): value.strip() for name, _, value in pairs}
-
-
-def _stop(text: str | None) -> dict[str, Any]:
-    """``150m,10min`` as the stop of ``Tracks.segment``."""
-    if text is None:
-        return {}
-    radius, comma, time = text.partition(",")
-    if not comma:
-        raise typer.BadParameter(f"{text!r} is not a radius and a time such as 150m,10min", param_hint="--stop")
-    return {"stop_radius": radius, "stop_time": time}
-
-
-def _auto_spacing(tracks: Tracks) -> float:
-    """A fiftieth of the median track; for geodetic data at most 200 m, as turns in a channel must not be cut."""
-    import numpy as np
-
-    lengths = tracks.length[tracks.length > 0]
-    if not len(lengths):
-        fail("no track moves: give --spacing")
-    spacing = float(np.median(lengths)) / 50
-    return spacing if tracks.projection is None else min(spacing, 200.0)

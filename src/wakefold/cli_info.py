@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 
 from wakefold.cli_support import level_table, model_facts
-from wakefold.io import read_tracks
+from wakefold.io import Columns, read_tracks
 from wakefold.model import load
+from wakefold.observations import dated
 from wakefold.tracks import Tracks
 
 
-def about(
-    path: Path, columns: dict[str, str] | None, progress: Callable[[int, int], None]
-) -> tuple[str, dict[str, Any]]:
+def about(path: Path, columns: Columns | None, progress: Callable[[int, int], None]) -> tuple[str, dict[str, Any]]:
     """What a file of tracks, or the directory of a model, holds: for people, and in plain types for JSON.
 
     Raises:
@@ -39,6 +38,7 @@ def _extent(tracks: Tracks) -> dict[str, Any]:
         "agents": len(np.unique(tracks.attributes.get("agent", tracks.ids))),
         "time": [float(tracks.times.min()), float(tracks.times.max())],
         "geodetic": tracks.projection is not None,
+        "dated": dated(tracks),
         "area": {"low": low.tolist(), "high": high.tolist()},
         "median": {
             "points": float(np.median(tracks.lengths)),
@@ -60,23 +60,36 @@ def _said(facts: dict[str, Any]) -> list[str]:
     """The same in lines."""
     area, middle, (begin, end) = facts["area"], facts["median"], facts["time"]
     if facts["geodetic"]:
-        where = f"{area['south']:.4f}..{area['north']:.4f} °N, {area['west']:.4f}..{area['east']:.4f} °E"
-        clock = [str(np.datetime64(round(t), "s")).replace("T", " ") for t in (begin, end)]
-        when = f"{clock[0]} to {clock[1]} UTC"
+        where = f"{_span(area, 'south', 'north', 'NS')}, {_span(area, 'west', 'east', 'EW')}"
     else:
         spans = zip("xyz", area["low"], area["high"], strict=False)
         where = ", ".join(f"{axis} {low:.6g}..{high:.6g}" for axis, low, high in spans)
+    if facts["dated"]:
+        clock = [str(np.datetime64(round(t), "s")).replace("T", " ") for t in (begin, end)]
+        when = f"{clock[0]} to {clock[1]} UTC"
+    else:
         when = f"{begin:.6g} to {end:.6g} s"
+    metre = "m" if facts["geodetic"] else "units"  # of a plane that may be in anything
     steps = ""
     if middle["interval"] is not None:
-        steps = f"; a point every {middle['interval']:.4g} s or {middle['spacing']:.4g} m"
+        steps = f"; a point every {middle['interval']:.4g} s or {middle['spacing']:.4g} {metre}"
     return [
         f"  {facts['tracks']:,} tracks of {facts['agents']:,} agents, {facts['points']:,} points",
         f"  when   {when}",
         f"  where  {where}",
-        f"  median track: {middle['metres']:,.4g} m in {middle['seconds'] / 60:,.4g} min, "
+        f"  median track: {_plain(middle['metres'])} {metre} in {_plain(middle['seconds'])} s, "
         f"{middle['points']:,.0f} points{steps}",
     ]
+
+
+def _span(area: dict[str, float], low: str, high: str, sides: str) -> str:
+    """``123.1000°W..75.7000°W``."""
+    return "..".join(f"{abs(area[end]):.4f}°{sides[area[end] < 0]}" for end in (low, high))
+
+
+def _plain(value: float) -> str:
+    """Four digits and no exponent."""
+    return f"{value:,.0f}" if value >= 1000 else f"{value:.4g}"
 
 
 def _finite(value: float) -> float | None:

@@ -50,9 +50,20 @@ def guarded(command: Callable[P, None]) -> Callable[P, None]:
     return run
 
 
+@contextmanager
+def naming(path: object) -> Iterator[None]:
+    """Errors of the system that happen within name this path, the one the user gave, and no temporary one."""
+    try:
+        yield
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
+
+
 def fail(error: object) -> NoReturn:
     """Exit code 1 and one line: the message; an exception without one by its name."""
     text = str(error) or type(error).__name__
+    if isinstance(error, OSError) and error.filename is not None:
+        text = f"{error.filename}: {error.strerror}"
     first, *rest = text.splitlines()
     say(f"error: {first}")
     for line in rest:  # the offending lines of a file in which nothing was good

@@ -5,13 +5,14 @@ from __future__ import annotations
 import sys
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext
+from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 import numpy as np
 
+from wakefold.cli_support import naming
 from wakefold.dynamics import MAX_SUBSTEPS
 from wakefold.observations import (
     Answer,
@@ -28,12 +29,13 @@ from wakefold.observations import (
     of_tracks,
 )
 from wakefold.observations import read as read_feed
+from wakefold.particles import LOST
 
 if TYPE_CHECKING:
     from wakefold.belief import Belief
     from wakefold.filters.bootstrap import BL1, BL2
     from wakefold.filters.mhpf import MHPF
-    from wakefold.filtration import Filtration
+    from wakefold.io import Columns
     from wakefold.io.report import Report
     from wakefold.model import Model
     from wakefold.observations import Form
@@ -52,7 +54,7 @@ class Crowd:
         horizons: seconds, of the forecasts.
         max_agents: beyond that many, the agent unheard of for longest is dropped.
         max_gap: seconds of silence after which an agent starts anew.
-        say: told of every agent that is dropped.
+        say: told of every agent that is dropped, and once if fixes are in the plane of a geodetic model.
     """
 
     def __init__(
@@ -66,9 +68,10 @@ class Crowd:
     ) -> None:
         self.filter, self.levels, self.horizons = filter, levels, horizons
         self.max_agents, self.say = max_agents, say
-        self.max_gap = min(max_gap, MAX_SUBSTEPS * filter.model.dynamics.interval)
+        self.max_gap = min(max_gap, longest_step(filter.model))
         self.live: OrderedDict[str, Belief] = OrderedDict()
         self.agents = self.dropped = 0
+        self._told_plane = False
 
     def __call__(self, seen: Observation) -> tuple[Answer, Belief]:
         """The belief of the agent after an observation.
@@ -76,7 +79,7 @@ class Crowd:
         Raises:
             ValueError: the observation does not fit the model or the agent's time; its belief stays as it was.
         """
-        coarse = seen.coarse(self.filter.model.filtration)
+        coarse, at = seen.coarse(self.filter.model.filtration), self._at(seen)
         before = self.live.get(seen.agent)
         if before is None or before.time is None or seen.time - before.time > self.max_gap:
             after = self.filter.start(fix=seen.fix, time=seen.time, agent=seen.agent)
@@ -87,9 +90,31 @@ class Crowd:
             items = coarse if seen.fix is None else [seen.fix, *coarse]
             after = self.filter.step(before, items, time=seen.time)
             event = "recovery" if after.recoveries > before.recoveries else "step"
+        if at is not None and seen.fix is not None:
+            sd = self.filter.sd if seen.fix.sd is None else seen.fix.sd
+            event = "off-map" if np.linalg.norm(after.mean() - at) > LOST * sd else event
         answer = self._answer(seen, event, after)
         self._keep(seen.agent, after)
         return answer, after
+
+    def _at(self, seen: Observation) -> np.ndarray | None:
+        """Where a fix lies in the plane of the model.
+
+        Raises:
+            ValueError: it does not fit the model; the message begins with its fields.
+        """
+        if seen.fix is None:
+            return None
+        tracks = self.filter.model.tracks
+        try:
+            at = seen.fix.on_plane(tracks.projection, tracks.dim)
+        except ValueError as error:
+            fields = ("lon", "lat") if seen.fix.position is None else ("x", "y", "z")[: len(seen.fix.position)]
+            raise ValueError(f"{', '.join(fields)}: {error}") from None
+        if seen.fix.position is not None and tracks.projection is not None and not self._told_plane:
+            self._told_plane = True
+            self.say(f"x and y of the fixes are taken as {tracks.projection}, east and north: the model's plane")
+        return at
 
     def _keep(self, agent: str, belief: Belief) -> None:
         self.agents += agent not in self.live
@@ -159,17 +184,9 @@ class Album:
         return [self._kept[r][0]._replace(observed=fixes[: self._kept[r][1]]) for r in rows]
 
 
-def heights(text: str, tree: Filtration) -> list[float]:
-    """Levels, metres: ``3`` asks for that many useful ones, ``500,2000`` and ``500m`` for these.
-
-    Raises:
-        ValueError: neither.
-    """
-    from wakefold.units import metres
-
-    if text.strip().isdigit():
-        return tree.levels(int(text)).tolist()
-    return sorted({metres(part) for part in text.split(",")})
+def longest_step(model: Model) -> float:
+    """Seconds that a belief can be taken ahead at once."""
+    return MAX_SUBSTEPS * model.dynamics.interval
 
 
 def run(
@@ -177,7 +194,7 @@ def run(
     observations: str,
     output: str,
     form: Form | None,
-    columns: dict[str, str] | None,
+    columns: Columns | None,
     agents: frozenset[str],
     album: Album | None,
     progress: Callable[..., None],
@@ -194,8 +211,10 @@ def run(
         how many lines were refused; each of the first was said.
 
     Raises:
-        ReadError: no observations at all in that file.
+        ReadError: no observations at all, or none of these agents.
     """
+    from wakefold.io import ReadError
+
     if observations == "-":
         lines = numbered_lines(sys.stdin.buffer)
         first = next(lines, (1, b""))
@@ -206,7 +225,8 @@ def run(
             say(str(report))
     form = form or given
     answered = refused = 0
-    with nullcontext(sys.stdout) if output == "-" else Path(output).open("w", encoding="utf-8") as out:
+    met: set[str] = set()
+    with _opened(output) as out:
         if form == "csv":
             out.write(csv_header(crowd.place_names, crowd.levels, crowd.horizons))
             out.flush()
@@ -216,6 +236,8 @@ def run(
                 if not isinstance(seen, Refused):
                     if agents and seen.agent not in agents:
                         continue
+                    if agents:
+                        met.add(seen.agent)
                     try:
                         answer, belief = crowd(seen)
                     except ValueError as error:
@@ -235,7 +257,25 @@ def run(
         finally:
             tail = f", {refused:,} lines refused" if refused else ""
             say(f"{answered:,} observations of {crowd.agents:,} agents answered{tail}")
+    if not answered and not refused:
+        raise ReadError(f"{observations}: no observation" + (f" of {_named(agents)}" if agents else ""))
+    if absent := agents - met:
+        say(f"no observation of {_named(absent)}")
     return refused
+
+
+def _named(agents: frozenset[str]) -> str:
+    return "agent " + ", ".join(sorted(agents))
+
+
+@contextmanager
+def _opened(output: str) -> Iterator[TextIO]:
+    """The file of the answers; "-" is standard output, which stays open."""
+    if output == "-":
+        yield sys.stdout
+        return
+    with naming(output), Path(output).open("w", encoding="utf-8", errors="backslashreplace") as out:
+        yield out
 
 
 def draw(album: Album, model: Model, path: Path) -> None:
@@ -250,7 +290,7 @@ def draw(album: Album, model: Model, path: Path) -> None:
 
 
 def feed_of(
-    path: Path, columns: dict[str, str] | None, progress: Callable[[int, int], None]
+    path: Path, columns: Columns | None, progress: Callable[[int, int], None]
 ) -> tuple[Form, Iterator[Observation | Refused], Report | None]:
     """What a file observes: CSV or JSON lines as they stand, any other format by way of ``read_tracks``.
 

@@ -243,13 +243,14 @@ def table(steps: list[Step], levels: list[float]) -> list[str]:
     """The followed voyage in lines of text."""
     head = f"{'time':<9}{'evidence':<22}"
     head += "".join(f"{f'level {level:,.0f} m':>16}" for level in levels)
-    lines = [head + f"{'error':>9}" + "".join(f"{f'in {h / 60:.0f} min':>9}{'(c.v.)':>9}" for h in HORIZONS)]
+    head += f"{'error':>9}" + "".join(f"{f'in {h / 60:.0f} min':>10}{'(c.v.)':>10}" for h in HORIZONS)
+    lines = ["class and probability per level; error in metres now and ahead, beside it constant velocity (c.v.)", head]
     for step in steps:
         line = f"{_clock(step.time)} {step.evidence:<22}"
         line += "".join(f"{c:>9} {p:>6.1%}" for c, p, _ in step.best) + f"{step.position_error:>9,.0f}"
         for horizon in HORIZONS:
             ours, naive = step.ahead.get(horizon, (None, None))
-            line += "".join(f"{'' if off is None else f'{off:,.0f}':>9}" for off in (ours, naive))
+            line += "".join(f"{'' if off is None else f'{off:,.0f}':>10}" for off in (ours, naive))
         lines.append(line.rstrip())
     return lines
 

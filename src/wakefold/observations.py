@@ -32,6 +32,9 @@ LONGEST_NAME = 200  # characters of an agent's name
 FIELDS = ("agent", "track", "time", "lon", "lat", "x", "y", "z")  # under the names that `tables` recognises
 MORE_FIELDS = ("sd", "class", "level", "confidence")
 CONFIDENCE = 0.9
+LARGEST = 1e100  # of numbers; their squares still are numbers
+ECHOED = 60  # characters of a value that a message repeats
+YEAR = 365 * 86400.0
 
 
 class Observation(NamedTuple):
@@ -90,9 +93,12 @@ def form_of(first: bytes) -> Form:
     return "jsonl" if first.removeprefix(BOM).lstrip().startswith(b"{") else "csv"
 
 
-def header_problem(first: bytes, columns: Mapping[str, str] | None = None) -> str | None:
+def header_problem(first: bytes, columns: Mapping[str, str | int] | None = None) -> str | None:
     """What the first line of a CSV feed lacks to be a header of observations; None if nothing."""
     names = _layout(first.removeprefix(BOM))[1]
+    for ours, name in (columns or {}).items():
+        if name not in names:
+            return f"no column {name!r} (for {ours}) among {listed(names)}"[:500]
     found = _Names(columns or {}).ours(tuple(names))
     missing = [] if {"agent", "track"} & found.keys() else ["agent"]
     missing += [] if "time" in found else ["time"]
@@ -102,7 +108,7 @@ def header_problem(first: bytes, columns: Mapping[str, str] | None = None) -> st
 
 
 def read(
-    lines: Iterable[tuple[int, bytes]], columns: Mapping[str, str] | None = None
+    lines: Iterable[tuple[int, bytes]], columns: Mapping[str, str | int] | None = None
 ) -> Iterator[Observation | Refused]:
     """Observations of a feed, as its lines come.
 
@@ -131,7 +137,7 @@ def read(
             yield Refused(line, str(error))
 
 
-def is_feed(first: bytes, columns: Mapping[str, str] | None = None) -> bool:
+def is_feed(first: bytes, columns: Mapping[str, str | int] | None = None) -> bool:
     """Whether the first line that is not blank is one of a feed: a header, or an object, that says who and when."""
     if form_of(first) == "csv":
         return header_problem(first, columns) is None
@@ -157,13 +163,18 @@ def of_tracks(tracks: Tracks) -> Iterator[Observation]:
     """The points of tracks as fixes of their agents, all in the order of time."""
     owner = np.repeat(np.arange(len(tracks)), tracks.lengths)
     names = tracks.attributes.get("agent", tracks.ids)
-    geodetic = tracks.projection is not None
+    geodetic, dates = tracks.projection is not None, dated(tracks)
     places = tracks.projection.to_geodetic(tracks.points) if tracks.projection is not None else tracks.points
     for count, row in enumerate(np.argsort(tracks.times, kind="stable"), 1):
         fix = Fix(lon=places[row, 0], lat=places[row, 1]) if geodetic else Fix(places[row])
         time = float(tracks.times[row])
-        stamp = str(np.datetime64(round(1000 * time), "ms")) + "Z" if geodetic else time
+        stamp = str(np.datetime64(round(1000 * time), "ms")) + "Z" if dates else time
         yield Observation(count, str(names[owner[row]]), time, stamp, fix)
+
+
+def dated(tracks: Tracks) -> bool:
+    """Whether the times are dates: of geodetic tracks after 1970, as data without times count seconds from 0."""
+    return tracks.projection is not None and float(tracks.times.min()) >= YEAR
 
 
 # Lines to fields
@@ -176,7 +187,7 @@ def _json_row(numbered: tuple[int, bytes]) -> tuple[int, dict[str, Any] | str]:
     try:
         row = json.loads(text)
     except (ValueError, RecursionError):
-        return line, f"line: not JSON: {text[:80].decode('utf-8', 'replace').strip()!r}"
+        return line, f"line: not JSON: {_echo(text[:LONGEST_NAME].decode('utf-8', 'replace').strip())}"
     return line, row if isinstance(row, dict) else "line: not a JSON object"
 
 
@@ -207,7 +218,7 @@ def _csv_rows(header: bytes, rest: Iterable[tuple[int, bytes]]) -> Iterator[tupl
 class _Names:
     """Fields under our names. The keys of a JSON feed may differ from line to line; few sets of them come."""
 
-    def __init__(self, columns: Mapping[str, str]) -> None:
+    def __init__(self, columns: Mapping[str, str | int]) -> None:
         self.columns = columns
         self._known: dict[tuple[str, ...], dict[str, str]] = {}
 
@@ -222,7 +233,7 @@ class _Names:
             plain = {name.strip().lower(): name for name in keys}
             theirs = {ours: name for ours, name in recognised(keys).items() if ours in FIELDS}
             theirs |= {ours: plain[ours] for ours in MORE_FIELDS if ours in plain}
-            theirs |= {ours: name for ours, name in self.columns.items() if name in keys}
+            theirs |= {ours: str(name) for ours, name in self.columns.items() if name in keys}
             if len(self._known) < 1000:
                 self._known[keys] = theirs
         return theirs
@@ -243,9 +254,13 @@ def _observation(line: int, row: Mapping[str, Any] | str) -> Observation:
         raise ValueError("time: missing")
     time = parse(row["time"])
     if not math.isfinite(time):
-        raise ValueError(f"time: {row['time']!r} is neither ISO 8601 nor a number of seconds")
+        raise ValueError(f"time: {_echo(row['time'])} is neither ISO 8601 nor a number of seconds")
     class_ = _class(row["class"]) if "class" in row else None
     level, confidence = _number(row, "level"), _number(row, "confidence")
+    if level is not None and level < 0:
+        raise ValueError(f"level: must not be below 0, got {level:g}")
+    if confidence is not None and not 0 < confidence <= 1:
+        raise ValueError(f"confidence: must be above 0 and at most 1, got {confidence:g}")
     stamp = row["time"] if isinstance(row["time"], (int, float)) else str(row["time"])
     sure = CONFIDENCE if confidence is None else confidence
     return Observation(line, str(agent), time, stamp, _fix(row), class_, level, sure)
@@ -253,30 +268,54 @@ def _observation(line: int, row: Mapping[str, Any] | str) -> Observation:
 
 def _fix(row: Mapping[str, Any]) -> Fix | None:
     sd = _number(row, "sd")
-    if "lon" in row or "lat" in row:
-        return Fix(lon=_number(row, "lon"), lat=_number(row, "lat"), sd=sd)
-    position = [value for name in ("x", "y", "z") if (value := _number(row, name)) is not None]
-    return Fix(position, sd=sd) if position else None
+    geodetic = "lon" in row or "lat" in row
+    given = {name: _number(row, name) for name in (("lon", "lat") if geodetic else ("x", "y", "z"))}
+    position = [value for value in given.values() if value is not None]
+    if not position:
+        return None
+    if missing := [name for name in list(given)[: 2 if geodetic else len(position)] if given[name] is None]:
+        raise ValueError(f"{missing[0]}: missing")
+    try:
+        return Fix(lon=position[0], lat=position[1], sd=sd) if geodetic else Fix(position, sd=sd)
+    except ValueError as error:  # "Fix lon must be ..."
+        field, _, why = str(error).removeprefix("Fix ").partition(" ")
+        raise ValueError(f"{field}: {why}") from None
 
 
 def _number(row: Mapping[str, Any], name: str) -> float | None:
     if name not in row:
         return None
     value = number(row[name])
-    if not math.isfinite(value):
-        raise ValueError(f"{name}: {row[name]!r} is not a finite number")
+    if not abs(value) < LARGEST:  # NaN too
+        raise ValueError(f"{name}: {_echo(row[name])} is {'out of range' if _large(row[name]) else 'not a number'}")
     return value
+
+
+def _large(value: Any) -> bool:
+    try:
+        return abs(float(value)) >= LARGEST
+    except OverflowError:  # a whole number of more than 308 digits
+        return True
+    except (TypeError, ValueError):
+        return False
+
+
+def _echo(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= ECHOED else f"{text[: ECHOED - 3]}..."
 
 
 def _class(value: Any) -> int | str:
     if isinstance(value, str) and value.startswith("track:"):
+        if len(value) > LONGEST_NAME:
+            raise ValueError(f"class: longer than {LONGEST_NAME} characters")
         return value
     try:
         if isinstance(value, bool) or int(value) != float(value):
             raise ValueError
         return int(value)
     except (ValueError, TypeError, OverflowError):
-        raise ValueError(f"class: {value!r} is neither the number of a class nor track:NAME") from None
+        raise ValueError(f"class: {_echo(value)} is neither the number of a class nor track:NAME") from None
 
 
 # Answers
@@ -303,7 +342,8 @@ class Answer(NamedTuple):
     """What is believed of an agent after an observation.
 
     Attributes:
-        event: "start" of an agent, "step", "recovery" (lost and found again) or "restart" after a long silence.
+        event: "start" of an agent, "step", "recovery" (lost, started anew from the fix) or "restart" after a long
+            silence; instead of each "off-map" if the estimate lies more than 6 sd from the fix all the same.
         ahead: (seconds, place) of each forecast.
     """
 
@@ -320,11 +360,17 @@ class Answer(NamedTuple):
 def csv_header(place: Sequence[str], levels: Sequence[float], ahead: Sequence[float]) -> str:
     """The header over ``csv_line`` of answers with these levels (metres) and forecasts (seconds)."""
     names = ["agent", "time", "event", *place, "sd", "ess", "recoveries"]
-    for level in levels:
-        names += [f"class@{level:.6g}", f"probability@{level:.6g}", f"tracks@{level:.6g}"]
-    for seconds in ahead:
-        names += [f"{name}+{seconds:.6g}s" for name in (*place, "sd")]
+    for level in _distinct(levels):
+        names += [f"class@{level}", f"probability@{level}", f"tracks@{level}"]
+    for seconds in _distinct(ahead):
+        names += [f"{name}+{seconds}s" for name in (*place, "sd")]
     return _csv(names)
+
+
+def _distinct(values: Sequence[float]) -> list[str]:
+    """Different numbers as different texts: of six digits, or as many as that takes."""
+    texts = ([f"{value:.{digits}g}" for value in values] for digits in range(6, 18))
+    return next(names for names in texts if len(set(names)) == len(set(values)))
 
 
 def csv_line(answer: Answer) -> str:

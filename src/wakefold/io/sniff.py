@@ -75,12 +75,12 @@ def sniff(source: Source, columns: Mapping[str, str | int] | None) -> str:
 
         if not is_table(delimited.layout(head).names):
             line = as_text(text.split(b"\n")[0])
-            raise ReadError(_unknown(source.name, f"text that begins {line[:80]!r}"))
+            raise ReadError(_unknown(source.name, f"text that begins {line[:60]!r}"))
     return "table"
 
 
 def _unknown(name: str, seen: str) -> str:
     return (
         f"{name}: no known format ({seen}); accepted are {listed(list(FORMATS.values()))}, "
-        "plain or .gz, .zst, .zip; give columns={...} for a table with other names"
+        "plain or .gz, .zst, .zip; give columns={...} (--columns) for a table with other names"
     )

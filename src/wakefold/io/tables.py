@@ -96,7 +96,8 @@ def assigned(source: Source, names: Sequence[str], columns: Columns | None, geom
         missing.append("lon and lat (or x and y)")
     if missing:
         raise ReadError(
-            f"{source.name}: which column is {listed(missing)}? There are {listed(names)}; give columns={{...}}"
+            f"{source.name}: which column is {listed(missing)}? There are {listed(names)}; "
+            "give columns={...} (--columns)"
         )
     return places
 

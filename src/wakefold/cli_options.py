@@ -1,0 +1,167 @@
+"""What the values of options mean. Whatever is wrong is a wrong usage that names its option, before any long work."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+
+import typer
+
+if TYPE_CHECKING:
+    from wakefold.filtration import Filtration
+    from wakefold.tracks import Tracks
+
+T = TypeVar("T")
+MOST_LEVELS = 20  # that are asked for by number; a larger number is a height without its unit
+MOVING = 1000.0  # metres; a geodetic track that gets no farther is a ship at anchor or at its berth
+FINEST, COARSEST = 20.0, 200.0  # metres; the noise of positions, and turns in a channel that must not be cut
+PICTURES = (".png", ".svg", ".pdf")
+
+
+def wrong(option: str, why: str) -> NoReturn:
+    """Wrong usage of an option: exit code 2."""
+    raise typer.BadParameter(why, param_hint=option)
+
+
+def parsed(option: str, parse: Callable[[str], T], text: str) -> T:
+    """What a text says, or wrong usage."""
+    try:
+        return parse(text)
+    except ValueError as error:
+        wrong(option, str(error))
+
+
+def length(option: str, text: str, *, zero: bool = False) -> float:
+    """Metres, above 0 unless ``zero``."""
+    from wakefold.units import metres
+
+    value = parsed(option, metres, text)
+    return value if value > 0 or zero else wrong(option, "must be above 0")
+
+
+def duration(option: str, text: str) -> float:
+    """Seconds, above 0."""
+    from wakefold.units import seconds
+
+    value = parsed(option, seconds, text)
+    return value if value > 0 else wrong(option, "must be above 0")
+
+
+def levels(text: str) -> int | list[float]:
+    """``3`` is a number of levels; ``500m`` and ``500,2000`` are heights, metres, rising."""
+    if text.strip().isdigit():
+        number = int(text) if len(text) < 10 else MOST_LEVELS + 1
+        if not 1 <= number <= MOST_LEVELS:
+            wrong("--levels", f"a number of levels is 1 to {MOST_LEVELS}; heights are written 500m or 500,2000")
+        return number
+    return sorted({length("--levels", part, zero=True) for part in text.split(",")})
+
+
+def heights(asked: int | list[float], tree: Filtration) -> list[float]:
+    """The levels asked for, metres, rising."""
+    return tree.levels(asked).tolist() if isinstance(asked, int) else asked
+
+
+def horizons(text: str) -> list[float]:
+    """``5min,15min`` in seconds, rising, each once."""
+    return sorted({duration("--forecast", part) for part in text.split(",")}) if text.strip() else []
+
+
+def columns(text: str) -> dict[str, str | int] | None:
+    """``agent=mmsi,time=t`` by our names; digits are the position of a column in a table without a header."""
+    if not text:
+        return None
+    pairs = [part.partition("=") for part in text.split(",")]
+    if not all(name.strip() and equals and value.strip() for name, equals, value in pairs):
+        wrong("--columns", f"{text!r} is not like agent=mmsi,time=t,x=px,y=py")
+    values = [value.strip() for _, _, value in pairs]
+    return {
+        name.strip(): int(value) if value.isdecimal() else value
+        for (name, _, _), value in zip(pairs, values, strict=True)
+    }
+
+
+def feed_columns(text: str) -> dict[str, str | int] | None:
+    """``columns`` of which every name is one that observations have."""
+    from wakefold.observations import FIELDS, MORE_FIELDS
+
+    given = columns(text)
+    if unknown := [name for name in given or () if name not in FIELDS + MORE_FIELDS]:
+        wrong("--columns", f"{unknown[0]!r} is none of {', '.join(FIELDS + MORE_FIELDS)}")
+    return given
+
+
+def stop(text: str | None) -> dict[str, Any]:
+    """``150m,10min`` as the stop of ``Tracks.segment``."""
+    if text is None:
+        return {}
+    radius, comma, time = text.partition(",")
+    if not comma:
+        wrong("--stop", f"{text!r} is not a radius and a time such as 150m,10min")
+    return {"stop_radius": length("--stop", radius), "stop_time": duration("--stop", time)}
+
+
+# Where output goes
+
+
+def model_directory(path: Path) -> Path:
+    """A directory that a model may be kept in: a new one, or a stored one that will be replaced."""
+    from wakefold.store import MANIFEST
+
+    _outside_models("--output", path)
+    if path.exists() and not (path / MANIFEST).is_file():
+        wrong("--output", f"{path} exists and is no model")
+    if over := next((folder for folder in path.parents if folder.exists() and not folder.is_dir()), None):
+        wrong("--output", f"{over} is not a directory")
+    return path
+
+
+def output_file(option: str, path: Path, *, picture: bool = False) -> Path:
+    """A file that can be written: in a directory that is there, and for a picture with an ending that says its kind."""
+    if picture and path.suffix.lower() not in PICTURES:
+        wrong(option, f"{path}: the name of a picture ends in {', '.join(PICTURES)}")
+    if path.is_dir():
+        wrong(option, f"{path} is a directory")
+    if not path.parent.is_dir():
+        wrong(option, f"there is no directory {path.parent}")
+    _outside_models(option, path)
+    return path
+
+
+def _outside_models(option: str, path: Path) -> None:
+    from wakefold.store import MANIFEST
+
+    for folder in path.absolute().parents:
+        if (folder / MANIFEST).is_file():
+            wrong(option, f"{path} lies inside the stored {folder.name}")
+
+
+# Spacing
+
+
+def auto_spacing(tracks: Tracks) -> float | None:
+    """A fiftieth of the median track that moves, metres; for geodetic data within ``FINEST`` and ``COARSEST``.
+
+    Positions of ships at rest scatter by some metres. They say nothing of how long a voyage is, so that geodetic tracks
+    count that get farther than ``MOVING``, if there are any. None if no track moves at all.
+    """
+    import numpy as np
+
+    moving = tracks.length > 0
+    if tracks.projection is not None:
+        begins = tracks.offsets[:-1]
+        size = np.maximum.reduceat(tracks.points, begins) - np.minimum.reduceat(tracks.points, begins)
+        far = np.linalg.norm(size, axis=1) > MOVING
+        moving = far if far.any() else moving
+    if not moving.any():
+        return None
+    spacing = float(np.median(tracks.length[moving])) / 50
+    return spacing if tracks.projection is None else min(max(spacing, FINEST), COARSEST)
+
+
+def points_after(tracks: Tracks, spacing: float) -> int:
+    """How many points ``Tracks.resample`` makes at most."""
+    import numpy as np
+
+    return int(np.ceil(tracks.length / spacing).sum()) + 2 * len(tracks)
