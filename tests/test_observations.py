@@ -117,6 +117,7 @@ def test_bad_json_lines_are_refused(text: str) -> None:
 @pytest.mark.parametrize(
     ("line", "why"),
     [
+        ('"agent":"\\ud800x"', r"agent: '\ud800x' is not text"),
         ('"lon":500,"lat":2', "lon: must be degrees within"),
         ('"lon":5', "lat: missing"),
         ('"y":5', "x: missing"),

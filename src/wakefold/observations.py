@@ -250,6 +250,8 @@ def _observation(line: int, row: Mapping[str, Any] | str) -> Observation:
         raise ValueError("agent: missing")
     if len(str(agent)) > LONGEST_NAME:
         raise ValueError(f"agent: longer than {LONGEST_NAME} characters")
+    if any("\ud800" <= character <= "\udfff" for character in str(agent)):  # JSON can write half a character
+        raise ValueError(f"agent: {_echo(agent)} is not text")
     if "time" not in row:
         raise ValueError("time: missing")
     time = parse(row["time"])
