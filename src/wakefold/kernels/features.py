@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from wakefold.kernels.compile import inner, kernel
-
-# There is no NaN here, and knowing that lets LLVM vectorise a maximum.
-ORDERED = {"nnan", "nsz"}
+from wakefold.kernels.compile import inner, kernel, ordered_inner, ordered_kernel
 
 SAMPLE = 16  # tracks by which the widest feature of a box is chosen
 
 
-@njit(cache=True, nogil=True, fastmath=ORDERED, no_cfunc_wrapper=True)
+@ordered_kernel
 def track_features(points, offsets, middle, scale, directions, landmarks, first, last, axes, out):
     """Features of tracks, see ``wakefold.features``.
 
@@ -92,7 +88,7 @@ def part(values, order, start, stop, middle):
             return
 
 
-@njit(cache=True, nogil=True, fastmath=ORDERED, no_cfunc_wrapper=True, no_cpython_wrapper=True)
+@ordered_inner
 def corners(features, order, start, stop, step, low, high, n):
     """Corners of the box of every step-th track of ``order[start:stop]``, into row n."""
     for f in range(features.shape[1]):

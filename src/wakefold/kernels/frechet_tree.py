@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from wakefold.kernels.features import ORDERED
+from wakefold.kernels.compile import kernel, ordered_inner, ordered_kernel
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def find(root, x):
     """Representative of the set of x; halves the path to it."""
     while root[x] != x:
@@ -17,7 +16,7 @@ def find(root, x):
     return x
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def grow_forest(first, second, heights, taken, order, gaps):
     """Kruskal's algorithm over edges by rising height, and the dendrogram of the forest it finds.
 
@@ -53,7 +52,7 @@ def grow_forest(first, second, heights, taken, order, gaps):
                 rank += 1
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def label_boxes(part, bounds, box_part):
     """Part of each box whose tracks are all of one part, -1 for the others.
 
@@ -74,7 +73,7 @@ def label_boxes(part, bounds, box_part):
         box_part[n] = box_part[2 * n + 1] if box_part[2 * n + 1] == box_part[2 * n + 2] else -1
 
 
-@njit(cache=True, nogil=True, fastmath=ORDERED)
+@ordered_inner
 def gap_squared(low, high, n, m, d, limit):
     """Squared lower bound of the distance between box n and box m; above the limit it may be too low."""
     worst = np.float32(0.0)
@@ -92,7 +91,7 @@ def gap_squared(low, high, n, m, d, limit):
     return max(worst, widest * widest)
 
 
-@njit(cache=True, nogil=True, fastmath=ORDERED)
+@ordered_kernel
 def close_pairs(features, part, bounds, low, high, box_part, d, done, limit, stack, top, first, second, bound):
     """Pairs of tracks of different parts with ``done <= bound < limit``, as many as there is room for.
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from wakefold.kernels.compile import kernel
-from wakefold.kernels.features import ORDERED
+from wakefold.kernels.compile import kernel, ordered_inner
 
 
-@njit(cache=True, nogil=True, fastmath=ORDERED, no_cfunc_wrapper=True, no_cpython_wrapper=True)
+@ordered_inner
 def gap_squared(queries, q, low, high, n, d, limit):
     """Squared lower bound of the distance of query q to box n; from the limit on it may be too low."""
     worst = np.float32(0.0)
