@@ -16,7 +16,7 @@ FAR = 2.0**40  # units of the features: further away, a feature is taken to be h
 
 
 class TrackIndex:
-    """Tracks in a tree of boxes, to be asked many times. Costs about 300 bytes a track, and 3 µs of a core.
+    """Tracks in a tree of boxes, to be asked many times. Costs about 200 bytes a track, and 2 µs of a core.
 
     Attributes:
         tracks: those searched.
