@@ -27,7 +27,7 @@ STOREYS = [
     ["search"],
     ["dendrogram", "distance", "features", "spanning"],
     ["tracks", "shaping"],
-    ["ragged", "sketch", "projection", "units"],
+    ["ragged", "sketch", "projection", "units", "smoothing"],
     ["store"],
     ["parallel"],
     ["kernels.*"],
