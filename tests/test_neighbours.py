@@ -31,7 +31,7 @@ def velocities_of(tracks, q, lo, hi, epsilon):
     dims = (0,) * points.shape[1]
     out = np.empty_like(q)
     reach = (float(epsilon) ** 2, FLOOR**2)
-    drifts(q, np.arange(len(q)), lo, hi, field(points, velocities, starts), *reach, out, dims)
+    drifts(q, np.arange(len(q)), out, lo, hi, field(points, velocities, starts), *reach, dims)
     return out, points, velocities, starts
 
 
@@ -124,7 +124,7 @@ def test_units_do_not_matter(scale):
     epsilon, floor = 5.0 * scale, 1e-8 * scale
     out = np.empty_like(q)
     made = field(points, velocities, starts)
-    drifts(q, np.arange(8), np.zeros(8, int), np.full(8, 12), made, epsilon**2, floor**2, out, (0, 0))
+    drifts(q, np.arange(8), out, np.zeros(8, int), np.full(8, 12), made, epsilon**2, floor**2, (0, 0))
     for i in range(8):
         expected = naive_velocity(q[i].tolist(), points, velocities, epsilon, floor)
         np.testing.assert_allclose(out[i], expected, rtol=1e-10)

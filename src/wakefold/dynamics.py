@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -126,6 +126,11 @@ class Dynamics:
         return (0,) * self.dim
 
     @cached_property
+    def ground(self) -> tuple[Any, ...]:
+        """What the kernels are told of where a particle moves: lo, hi, the arrays of the field, reach, dims."""
+        return (self.lo, self.hi, *self.field, *self.reach, self.dims)
+
+    @cached_property
     def field(self) -> Field:
         """Points, velocities and the boxes over them, as the kernels take them."""
         from wakefold.kernels.boxes import field
@@ -154,7 +159,7 @@ class Dynamics:
         at = np.ascontiguousarray(np.atleast_2d(np.asarray(points, dtype=np.float64)))
         chosen = np.ascontiguousarray(np.broadcast_to(np.asarray(classes, dtype=np.int64), (len(at),)))
         out = np.empty_like(at)
-        drifts(at, chosen, self.lo, self.hi, self.field, *self.reach, out, self.dims)
+        drifts(at, chosen, out, self.lo, self.hi, self.field, *self.reach, self.dims)
         return out
 
     def _departure(self, filtration: Filtration) -> float:

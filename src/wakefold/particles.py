@@ -31,7 +31,9 @@ Ints = NDArray[np.int64]
 
 START, OPEN, NOISE, COPIES, RECOVER, FORECAST = range(6)  # purposes of random streams
 FAMILIES: dict[str, int] = {"log": kernel.LOG, "gaussian": kernel.GAUSSIAN, "student": kernel.STUDENT}
+NOISES = {"gaussian": motion.GAUSSIAN, "uniform": motion.UNIFORM}
 LOST = 6.0  # sd
+NONE = np.empty(0, dtype=np.int64)
 
 
 def agent_key(seed: int, agent: str | None) -> NDArray[np.uint64]:
@@ -173,6 +175,7 @@ class ParticleFilter:
         self.resampling: Resampling = resampling
         self.ess_threshold = ess_threshold
         self.seed = int(seed)
+        self._changed = round(self.depletion * self.particles) if self.single else 0
         self._even = np.full(self.particles, -math.log(self.particles))  # log-weights of an unweighted set
 
     # Prior and forecast
@@ -226,8 +229,7 @@ class ParticleFilter:
         for leg, h in enumerate(horizons):
             if not h >= done:
                 raise ValueError(f"horizons must be seconds >= 0 in rising order, got {h} after {done}")
-            noise, dt = self._noise(belief, FORECAST + leg, len(points), h - done)
-            self._move(points, belief.classes, noise, dt)
+            self._roll(belief, FORECAST + leg, points, belief.classes, h - done)
             done = h
             time = None if belief.time is None else belief.time + h
             out.append(replace(belief, points=points.copy(), time=time, stack=None))
@@ -240,63 +242,42 @@ class ParticleFilter:
 
         Under ``ess_threshold`` both happen only when the effective sample size falls below that share of N.
         """
-        count = self.particles
+        count, key, step = self.particles, belief.key, belief.step + 1
         if len(belief.points) != count:
             raise ValueError(f"the belief has {len(belief.points)} particles, the filter {count}")
         if self.ess_threshold is not None and belief.ess >= self.ess_threshold * count:
             return belief.points.copy(), belief.classes.copy(), belief.log_weights.copy()
-        changed = round(self.depletion * count) if self.single else 0
-        first, leaves = 1 if self.resampling == "systematic" else count, len(self.model.tracks)
-        key, step = belief.key, belief.step + 1
-        if self.resampling in ("systematic", "stratified"):
-            state = (belief.log_weights, belief.points, belief.classes)
-            points, classes = kernel.open_strata(key, step, OPEN, *state, first, changed, leaves)
-        else:
-            u = _draw(random.uniforms, key, step, OPEN, (first + 1 + changed,))
-            kept = resample(belief.log_weights, u[:first], self.resampling)
-            points, classes = kernel.reopen(belief.points, belief.classes, kept, u[first:], changed, leaves)
+        first, kept = 1 if self.resampling == "systematic" else count, NONE
+        if self.resampling in ("multinomial", "residual"):
+            kept = resample(belief.log_weights, _draw(random.uniforms, key, step, OPEN, (first,)), self.resampling)
+        state, leaves = (belief.log_weights, belief.points, belief.classes), len(self.model.filtration)
+        points, classes = kernel.opened(key, step, OPEN, *state, kept, first, self._changed, leaves)
         return points, classes, self._even.copy()
 
     # Step 2: motion
 
-    def _noise(self, belief: Belief, purpose: int, count: int, dt: float) -> tuple[Floats, float]:
-        """Noise of every sub-step ``(sub-steps, count, d)``, metres, and the length of a sub-step, s.
-
-        Gaussian noise has sd scale * sqrt(h) in each sub-step h; the papers' uniform noise comes once, at the end.
-        """
+    def _parts(self, dt: float) -> tuple[int, float, int, float]:
+        """Kind and scale of the noise, number of sub-steps and their length, s, as the kernels take them."""
         dynamics = self.model.dynamics
         parts = dynamics.substeps(dt)
-        shape = (parts, count, dynamics.dim)
-        h = dt / max(parts, 1)
-        if dynamics.scale == 0.0 or parts == 0:
-            return np.zeros(shape), h
-        if dynamics.noise == "gaussian":
-            noise = _draw(random.normals, belief.key, belief.step + 1, purpose, shape)
-            noise *= dynamics.scale * math.sqrt(h)
-            return noise, h
-        u = _draw(random.uniforms, belief.key, belief.step + 1, purpose, shape[1:])
-        noise = np.zeros(shape)
-        noise[-1] = dynamics.scale * (2.0 * u - 1.0)
-        return noise, h
+        return NOISES[dynamics.noise], dynamics.scale, parts, dt / max(parts, 1)
 
-    def _move(self, points: Floats, classes: Ints, noise: Floats, h: float) -> None:
-        """Move particles under their own classes through the sub-steps of ``noise`` (sub-steps, n, d), in place."""
-        d = self.model.dynamics
-        motion.move(points, classes, d.lo, d.hi, d.field, *d.reach, noise, h, d.dims)
+    def _roll(self, belief: Belief, purpose: int, points: Floats, classes: Ints, dt: float) -> None:
+        """Move particles under their own classes, in place, with the noise of the belief's next step."""
+        stream = (belief.key, belief.step + 1, purpose)
+        motion.roll(points, classes, *stream, *self._parts(dt), *self.model.dynamics.ground)
 
     # Step 4: a fix, and what to do when every weight is zero
 
-    def _fix_log_g(self, points: Floats, fix: Fix) -> tuple[Floats, bool]:
-        """Log-likelihood of a fix at each point, ``(n,)``, and whether all of them are lost (over 6 sd away)."""
+    def _fix(self, fix: Fix) -> tuple[Floats, int, float, float, float]:
+        """A fix as the kernels take it: position (d,), family, scale, degrees of freedom, distance that means lost."""
         dynamics = self.model.dynamics
         at = fix.on_plane(self.model.tracks.projection, dynamics.dim)
-        out = np.empty(len(points))
         if self.likelihood == "log":
-            closest = kernel.log_likelihood(points, at, kernel.LOG, dynamics.diagonal or 1.0, self.dof, out)
-            return out, fix.sd is not None and closest > LOST * fix.sd
+            limit = math.inf if fix.sd is None else LOST * fix.sd
+            return at, kernel.LOG, dynamics.diagonal or 1.0, self.dof, limit
         scale = self.sd if fix.sd is None else fix.sd
-        closest = kernel.log_likelihood(points, at, FAMILIES[self.likelihood], scale, self.dof, out)
-        return out, closest > LOST * scale
+        return at, FAMILIES[self.likelihood], scale, self.dof, LOST * scale
 
     def _recover_fix(self, belief: Belief, fix: Fix, classes: Ints, log_weights: Floats) -> tuple[Floats, Ints]:
         """Points of all tracks, drawn in proportion to class mass times the likelihood of the fix; their classes.
@@ -327,7 +308,8 @@ class ParticleFilter:
         """Training points drawn in proportion to exp(log mass of their track) times the likelihood; their tracks."""
         tracks = self.model.tracks
         owner = np.repeat(np.arange(len(tracks)), tracks.lengths)
-        log_g, _ = self._fix_log_g(tracks.points, fix)
+        log_g = np.empty(len(owner))
+        kernel.log_likelihood(tracks.points, *self._fix(fix)[:-1], log_g)
         log_weights = log_g + log_mass[owner]
         if log_weights.max() == -math.inf:  # too many sd away for the arithmetic: the nearest points, all alike
             away = np.abs(tracks.points - fix.on_plane(tracks.projection, tracks.dim)).max(axis=1)

@@ -77,17 +77,14 @@ def _step(
     items = in_order(evidence, tree)
     dt, now = elapsed(belief, dt, time)
     points, classes, logs = f._open(belief)
-    noise, h = f._noise(belief, NOISE, len(points), dt)
-    f._move(points, classes, noise, h)
+    f._roll(belief, NOISE, points, classes, dt)
     recoveries = ignored = 0
     for level, item in items:
         if isinstance(item, Fix):
-            log_g, lost = f._fix_log_g(points, item)
-            prior = logs.copy() if lost else logs
-            gain = kernel.multiply(logs, log_g)
-            if lost or gain == -np.inf:
+            gain, met = kernel.weigh(points, *f._fix(item), logs)
+            if not met:
                 recoveries += 1
-                points, classes = f._recover_fix(belief, item, classes, prior)
+                points, classes = f._recover_fix(belief, item, classes, logs)
                 logs = f._even.copy()
         elif coarse:
             above = alive_classes(tree, classes, level)

@@ -97,12 +97,10 @@ class MHPF(ParticleFilter):
         recoveries = 0
         for level, item in items:  # lines 10-11, Algorithm 3
             if isinstance(item, Fix):
-                log_g, lost = self._fix_log_g(points, item)
-                prior = logs.copy() if lost else logs
-                gain = kernel.multiply(logs, log_g)
-                if lost or gain == -np.inf:
+                gain, met = kernel.weigh(points, *self._fix(item), logs)
+                if not met:
                     recoveries += 1
-                    points, classes = self._recover_fix(belief, item, classes, prior)
+                    points, classes = self._recover_fix(belief, item, classes, logs)
                     logs = self._even.copy()
                     sets = _Sets(self, classes, up, logs, points)
                 else:
@@ -115,7 +113,7 @@ class MHPF(ParticleFilter):
                     logs = self._even.copy()
                     sets = _Sets(self, classes, up, logs, points)
             total = None if total is None else total + gain
-        logs -= kernel.log_sum(logs)
+        kernel.normalise(logs)
         return Belief(
             tree=tree,
             points=points,
@@ -144,8 +142,8 @@ class _Sets:
             points: (N, d) positions of the copies, when they need not move any more.
         """
         self.filter = f
-        self.nodes, self.parent, self.leaf_of, self.start, self.copy_of = kernel.layout(classes, up, len(up))
-        self.base_mass = kernel.node_masses(logs, self.leaf_of, self.parent)
+        made = kernel.layout(classes, logs, up, len(up))
+        self.nodes, self.parent, self.leaf_of, self.start, self.copy_of, self.base_mass = made
         self.mass = self.base_mass.copy()
         self.factors = np.zeros(len(self.nodes))
         self.copied = logs.copy()  # the weights that the copies were made with
@@ -153,18 +151,10 @@ class _Sets:
 
     def move(self, belief: Belief, points: Floats, classes: Ints, dt: float) -> None:
         """Move the base particles in place and the copies, each set under the dynamics of its own class."""
-        f, d = self.filter, self.filter.model.dynamics
-        noise, h = f._noise(belief, NOISE, len(points), dt)
-        copy_noise, _ = f._noise(belief, COPIES, len(self.copy_of), dt)
-        if not len(noise):
-            self.copies = points[self.copy_of]
-            return
-        self.copies = np.empty((len(self.copy_of), d.dim))
-        tree = (self.leaf_of, self.nodes, self.parent, self.start, d.lo, d.hi)
-        motion.move_nested(points, *tree, d.field, *d.reach, noise[0], copy_noise[0], h, self.copies, d.dims)
-        if len(noise) > 1:  # from the second sub-step on every copy is somewhere else
-            f._move(points, classes, noise[1:], h)
-            f._move(self.copies, np.repeat(self.nodes, np.diff(self.start)), copy_noise[1:], h)
+        f, stream = self.filter, (belief.key, belief.step + 1, NOISE, COPIES)
+        tree = (self.leaf_of, self.nodes, self.parent, self.start, self.copy_of)
+        ground = f.model.dynamics.ground
+        self.copies = motion.roll_nested(points, classes, *tree, *stream, *f._parts(dt), *ground)
 
     def spread_fix(self, logs: Floats) -> None:
         """Algorithm 3, lines 16-19, after a fix has weighed the base set."""

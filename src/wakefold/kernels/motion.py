@@ -3,15 +3,21 @@
 # pyright: reportCallIssue=false
 # (numba gives an intrinsic its typing context: it is called with one argument less than it is defined with)
 
+import math
+
 import numpy as np
 
-from wakefold.kernels.boxes import WIDTH, near, nearest, scratch
+from wakefold.kernels.boxes import WIDTH, Field, near, nearest, scratch
 from wakefold.kernels.compile import inner, kernel
 from wakefold.kernels.neighbours import add_rows, mean_velocity, nothing, velocity, velocity_at
+from wakefold.kernels.random import normals, uniforms
+
+STILL, GAUSSIAN, UNIFORM = 0, 1, 2  # noise of the motion
 
 # Particles of one cloud lie close together: the rows of a class within reach of one particle, and this share of the
-# reach beyond, serve those that follow within that share. A list costs as much as the sums over a single track.
-SHARE = 0.125
+# reach beyond, serve those that follow within that share. A list costs as much as the sums over a single track; of a
+# single track, a line, a wider share adds less than of an area.
+SHARE, SHARE_OF_TRACK = 0.125, 0.25
 
 
 @inner
@@ -24,40 +30,74 @@ def _within(p, q, reach2, dims):
 
 
 @kernel
-def drifts(points, classes, lo, hi, field, reach2, floor2, out, dims):
+def drifts(points, classes, out, lo, hi, field, reach2, floor2, dims):
     """Localised velocity at each of the points (n, d) under its own class, into ``out`` (n, d)."""
     lists, side, count, listed = scratch(field), 0, 0, -1  # the rows near ``centre`` of the class ``listed``
     centre = np.empty(len(dims))
-    share2, wide2 = reach2 * SHARE**2, reach2 * (1.0 + SHARE) ** 2
     for i in range(len(points)):
-        twin = i > 0 and classes[i] == classes[i - 1]  # resampling leaves runs of one class in one place
+        c = classes[i]
+        twin = i > 0 and c == classes[i - 1]  # resampling leaves runs of one class in one place
         for k in range(len(dims)):
             twin = twin and points[i, k] == points[i - 1, k]
         if twin:
             for k in range(len(dims)):
                 out[i, k] = out[i - 1, k]
             continue
-        first, last = field.leaf_at[lo[classes[i]]], field.leaf_at[hi[classes[i]]]
-        if classes[i] != listed or not _within(points[i], centre, share2, dims):
-            side, count = near(points[i], first, last, field, wide2, lists, dims)
-            listed = classes[i]
+        first, last = field.leaf_at[lo[c]], field.leaf_at[hi[c]]
+        share = SHARE_OF_TRACK if hi[c] - lo[c] == 1 else SHARE
+        if c != listed or not _within(points[i], centre, reach2 * share**2, dims):
+            side, count = near(points[i], first, last, field, reach2 * (1.0 + share) ** 2, lists, dims)
+            listed = c
             for k in range(len(dims)):
                 centre[k] = points[i, k]
         velocity(points[i], first, last, lists[side], count, field, reach2, floor2, out[i], dims)
 
 
-@kernel
-def move(points, classes, lo, hi, field, reach2, floor2, noise, h, dims):
-    """Move points (n, d) under their own classes through the sub-steps of ``noise`` (sub-steps, n, d), in place.
+@inner
+def _noise(key, step, purpose, kind, scale, h, out):
+    """Noise of every sub-step of ``h`` seconds into ``out`` (sub-steps, n, d), metres.
 
-    ``h`` is the length of a sub-step, s.
+    Gaussian noise has sd scale * sqrt(h) in each sub-step; the papers' uniform noise comes once, in the last.
     """
+    if kind == GAUSSIAN:
+        sd = scale * math.sqrt(h)
+        flat = out.reshape(-1)
+        normals(key, step, purpose, flat)
+        for i in range(len(flat)):
+            flat[i] *= sd
+        return
+    out[:] = 0.0
+    if kind == UNIFORM and len(out) > 0:
+        flat = out[-1].reshape(-1)
+        uniforms(key, step, purpose, flat)
+        for i in range(len(flat)):
+            flat[i] = scale * (2.0 * flat[i] - 1.0)
+
+
+@inner
+def _move(points, classes, noise, h, lo, hi, field, reach2, floor2, dims):
+    """Move points (n, d) under their own classes through the sub-steps of ``noise`` (sub-steps, n, d), in place."""
     drift = np.empty_like(points)
     for part in range(len(noise)):
-        drifts(points, classes, lo, hi, field, reach2, floor2, drift, dims)
+        drifts(points, classes, drift, lo, hi, field, reach2, floor2, dims)
         for i in range(len(points)):
             for k in range(len(dims)):
                 points[i, k] += h * drift[i, k] + noise[part, i, k]
+
+
+@kernel
+def roll(
+    points, classes, key, step, purpose, kind, scale, parts, h,
+    lo, hi, data, leaf_at, boxes, level_at, reach2, floor2, dims,
+):  # fmt: skip
+    """Move points (n, d) under their own classes through ``parts`` sub-steps of ``h`` seconds, in place.
+
+    The noise is that of the stream (key, step, purpose). From ``lo`` on: ``Dynamics.ground``; a ``Field`` handed over
+    whole would cost 1 µs more.
+    """
+    noise = np.empty((parts, len(points), len(dims)))
+    _noise(key, step, purpose, kind, scale, h, noise)
+    _move(points, classes, noise, h, lo, hi, Field(data, leaf_at, boxes, level_at), reach2, floor2, dims)
 
 
 @inner
@@ -108,14 +148,13 @@ def _chain(q, node, nodes, parent, lo, hi, rows, count, field, reach2, floor2, o
         node = parent[node]
 
 
-@kernel
-def move_nested(
-    points, leaf_of, nodes, parent, start, lo, hi, field, reach2, floor2, noise, copy_noise, h, copies, dims
+@inner
+def _move_nested(
+    points, leaf_of, nodes, parent, start, noise, copy_noise, h, copies, lo, hi, field, reach2, floor2, dims
 ):
-    """Move the base particles (N, d) under their leaves, in place, and their copies under every ancestor in use.
+    """One sub-step of ``roll_nested``, ``noise`` (N, d), ``copy_noise`` (S, d).
 
-    One sub-step of ``h`` seconds: ``noise`` (N, d), ``copy_noise`` (S, d). The copies start where the base particle
-    does and come to lie in ``copies`` (S, d), grouped by node as ``start`` tells.
+    The copies start where the base particle does and come to lie in ``copies`` (S, d).
     """
     cursor = start[:-1].copy()
     drift = np.empty((len(nodes), len(dims)))  # under a particle's leaf and its ancestors, from the leaf outwards
@@ -148,3 +187,35 @@ def move_nested(
             for k in range(len(dims)):
                 copies[s, k] = q[k] + (h * drift[place, k] + copy_noise[s, k])
             node, place = parent[node], place + 1
+
+
+@kernel
+def roll_nested(
+    points, classes, leaf_of, nodes, parent, start, copy_of, key, step, purpose, copy_purpose, kind, scale, parts, h,
+    lo, hi, data, leaf_at, boxes, level_at, reach2, floor2, dims,
+):  # fmt: skip
+    """``roll`` the base particles (N, d) under their leaves, in place, and their copies under every ancestor in use.
+
+    Returns:
+        copies (S, d), grouped by node as ``start`` tells.
+    """
+    field = Field(data, leaf_at, boxes, level_at)
+    copies = np.empty((len(copy_of), len(dims)))
+    if parts == 0:
+        for s in range(len(copy_of)):
+            for k in range(len(dims)):
+                copies[s, k] = points[copy_of[s], k]
+        return copies
+    noise, copy_noise = np.empty((parts, len(points), len(dims))), np.empty((parts, len(copies), len(dims)))
+    _noise(key, step, purpose, kind, scale, h, noise)
+    _noise(key, step, copy_purpose, kind, scale, h, copy_noise)
+    tree = (points, leaf_of, nodes, parent, start)
+    _move_nested(*tree, noise[0], copy_noise[0], h, copies, lo, hi, field, reach2, floor2, dims)
+    if parts > 1:  # from the second sub-step on every copy is somewhere else
+        copy_classes = np.empty(len(copy_of), dtype=np.int64)
+        for a in range(len(nodes)):
+            for s in range(start[a], start[a + 1]):
+                copy_classes[s] = nodes[a]
+        _move(points, classes, noise[1:], h, lo, hi, field, reach2, floor2, dims)
+        _move(copies, copy_classes, copy_noise[1:], h, lo, hi, field, reach2, floor2, dims)
+    return copies

@@ -51,48 +51,45 @@ def pick_strata(log_weights, u, out):
 
 
 @kernel
-def reopen(points, classes, kept, u, changed, leaves):
-    """The kept particles, ``changed`` of them, evenly spread, with a class drawn uniformly from the leaves.
+def opened(key, step, purpose, log_weights, points, classes, kept, first, changed, leaves):
+    """The particles that survive resampling, ``changed`` of them with a class drawn uniformly from the leaves.
 
     Args:
-        u: (1 + changed,) uniforms: where the changed ones lie, and their classes.
+        kept: (N,) the particles that survive, or none to pick them here, one in each of N strata.
+        first: how many uniforms the resampling takes from the stream: N or, systematic, 1.
+
+    Returns:
+        points (N, d) and classes (N,), both new. The changed ones are spread evenly; they keep their positions.
     """
-    count, d = len(kept), points.shape[1]
+    count, d = points.shape
+    u = np.empty(first + 1 + changed)
+    uniforms(key, step, purpose, u)
+    if len(kept) == 0:
+        kept = np.empty(count, dtype=np.int64)
+        pick_strata(log_weights, u[:first], kept)
     new_points, new_classes = np.empty((count, d)), np.empty(count, dtype=np.int64)
     for i in range(count):
         for k in range(d):
             new_points[i, k] = points[kept[i], k]
         new_classes[i] = classes[kept[i]]
     for i in range(changed):
-        new_classes[int((i + u[0]) * (count / changed))] = int(u[1 + i] * leaves)
+        new_classes[int((i + u[first]) * (count / changed))] = int(u[first + 1 + i] * leaves)
     return new_points, new_classes
 
 
 @kernel
-def open_strata(key, step, purpose, log_weights, points, classes, strata, changed, leaves):
-    """Draw, ``pick_strata`` and ``reopen`` in one call: three, and their arrays, cost 4 µs more, a tenth of a step.
-
-    ``strata``: how many uniforms are drawn for the picking, 1 or N.
-    """
-    u = np.empty(strata + 1 + changed)
-    uniforms(key, step, purpose, u)
-    kept = np.empty(len(log_weights), dtype=np.int64)
-    pick_strata(log_weights, u[:strata], kept)
-    return reopen(points, classes, kept, u[strata:], changed, leaves)
-
-
-@kernel
-def layout(classes, up, size):
-    """The classes in use that hold particles, and the copies each of them needs.
+def layout(classes, log_weights, up, size):
+    """The classes in use that hold particles, their masses, and the copies each of them needs.
 
     Args:
         classes: (N,) leaf class of each particle.
+        log_weights: (N,).
         up: (C,) nearest ancestor in use of each class, -1 above the last.
         size: C.
 
     Returns:
         nodes (A,) class ids in rising order; parent (A,) index into nodes or -1; leaf_of (N,) index into nodes;
-        start (A + 1,) first copy of each node (leaves have none); copy_of (S,) particle of each copy.
+        start (A + 1,) first copy of each node (leaves have none); copy_of (S,) particle of each copy; mass (A,).
     """
     count = np.zeros(size, dtype=np.int64)
     total = 0
@@ -128,7 +125,7 @@ def layout(classes, up, size):
             copy_of[cursor[a]] = i
             cursor[a] += 1
             a = parent[a]
-    return nodes, parent, leaf_of, start, copy_of
+    return nodes, parent, leaf_of, start, copy_of, _node_masses(log_weights, leaf_of, parent)
 
 
 @kernel
@@ -185,11 +182,11 @@ def copy_log_weights(log_weights, copy_of, start, factors):
     return out
 
 
-@kernel
-def multiply(log_weights, log_factors):
-    """Multiply weights by factors and normalise, in place; returns log(sum of products / sum of weights).
+@inner
+def _multiply(log_weights, log_factors, keep):
+    """log(sum of products / sum of weights); the weights become the products, normalised.
 
-    When every product is zero nothing is changed and the result is -inf.
+    They stay as they are when told to ``keep`` them or when every product is zero (the result is -inf then).
     """
     before, peak, total = log_sum(log_weights), -np.inf, 0.0
     for i in range(len(log_weights)):
@@ -200,12 +197,43 @@ def multiply(log_weights, log_factors):
         total += math.exp(log_weights[i] + log_factors[i] - peak)
     after = peak + math.log(total)
     for i in range(len(log_weights)):
-        log_weights[i] += log_factors[i] - after
+        if not keep:
+            log_weights[i] += log_factors[i] - after
     return after - before
 
 
 @kernel
-def node_masses(log_weights, leaf_of, parent):
+def multiply(log_weights, log_factors):
+    """Multiply weights by factors and normalise, in place; returns log(sum of products / sum of weights).
+
+    When every product is zero nothing is changed and the result is -inf.
+    """
+    return _multiply(log_weights, log_factors, False)
+
+
+@kernel
+def weigh(points, fix, family, scale, dof, limit, log_weights):
+    """``multiply`` by the likelihood of a fix; weights stay as they are when no point (n, d) is within the limit of it.
+
+    Returns:
+        log(sum of products / sum of weights), and whether the weights have become the products.
+    """
+    log_factors = np.empty(len(points))
+    lost = log_likelihood(points, fix, family, scale, dof, log_factors) > limit
+    gain = _multiply(log_weights, log_factors, lost)
+    return gain, not lost and gain > -np.inf
+
+
+@kernel
+def normalise(log_weights):
+    """Divide weights by their sum, in place."""
+    total = log_sum(log_weights)
+    for i in range(len(log_weights)):
+        log_weights[i] -= total
+
+
+@inner
+def _node_masses(log_weights, leaf_of, parent):
     """Mass of every node: leaves sum the weights of their particles, parents sum their children."""
     mass = np.zeros(len(parent))
     for i in range(len(log_weights)):
@@ -236,7 +264,7 @@ def spread_fix(log_weights, leaf_of, parent, start, prior, factors, also_observe
         prior: (A,) masses before; becomes the masses after.
         factors: (A,) log-multiplier of each node's coarse set, changed in place.
     """
-    new = node_masses(log_weights, leaf_of, parent)
+    new = _node_masses(log_weights, leaf_of, parent)
     for a in range(len(parent)):
         ratio = _log_ratio(new[a], prior[a])
         factors[a] = factors[a] + ratio if start[a + 1] > start[a] else ratio  # a leaf has no coarse set: only r
