@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from wakefold.distance import frechet, frechet_matrix
     from wakefold.evidence import CoarseClass, Fix
     from wakefold.filters.bootstrap import BL1, BL2
+    from wakefold.filters.hmm import GaussianHMM
     from wakefold.filters.mhpf import MHPF
     from wakefold.filtration import Filtration
     from wakefold.io import read_tracks, write_tracks
@@ -23,6 +24,7 @@ _WHERE = {  # looked up on first use: importing the package costs no numba, pyar
     "CoarseClass": "evidence",
     "Filtration": "filtration",
     "Fix": "evidence",
+    "GaussianHMM": "filters.hmm",
     "MHPF": "filters.mhpf",
     "Model": "model",
     "Tracks": "tracks",
@@ -49,6 +51,7 @@ __all__ = [  # noqa: RUF022 (by subject)
     "MHPF",
     "BL1",
     "BL2",
+    "GaussianHMM",
 ]
 
 
