@@ -56,11 +56,13 @@ def page() -> str:
         if inspect.isclass(thing):
             for inner, member in members(thing):
                 lines += entry(f"{name}.{inner}", member if isinstance(member, property) else getattr(thing, inner), 3)
-    lines += ["## Pictures: `wakefold.plot`", ""]
-    from wakefold import plot
+    from wakefold import datasets, plot
 
-    for name in plot.__all__:
-        lines += entry(f"plot.{name}", getattr(plot, name), 3)
+    for title, part in (("Pictures", plot), ("Data of the papers", datasets)):
+        where = part.__name__
+        lines += [f"## {title}: `{where}`", ""]
+        for name in part.__all__:
+            lines += entry(f"{where.split('.')[-1]}.{name}", getattr(part, name), 3)
     return "\n".join(lines).rstrip() + "\n"
 
 

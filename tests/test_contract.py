@@ -14,7 +14,7 @@ STOREYS = [
     ["demo*"],
     ["observations", "export"],
     ["experiments.*"],
-    ["plot*"],
+    ["plot*", "datasets"],
     ["filters.*"],
     ["particles"],
     ["belief"],

@@ -1,1 +1,1 @@
-"""The experiments of the papers, one file for each."""
+"""The experiments of the papers: one module for each figure or number; ``wakefold reproduce`` runs them."""

@@ -1,0 +1,219 @@
+"""Scenarios of the papers' experiments: data, truth, model, and what is observed (Hawasly et al. 2016, Section 4).
+
+All noise is in fractions of the diagonal of the data's bounding box, per step. Everything follows from one seed: the
+observations of a run are the same for every filter and, up to their scale, for every noise.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property, lru_cache
+from typing import Any, NamedTuple
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from wakefold import datasets
+from wakefold.dynamics import Dynamics
+from wakefold.filtration import Filtration
+from wakefold.model import Model
+from wakefold.tracks import Tracks
+
+Floats = NDArray[np.float64]
+SAMPLES = 10  # that a coarse report is made from
+NEAREST = 512  # points looked at around each of them
+
+
+class Setting(NamedTuple):
+    """What is observed of whom, and what the model is told.
+
+    Attributes:
+        data: "ways" (33 tracks in the configuration space), "common" (13 with common ends) or "tankers" (194).
+        truth: "out": the true track is in no model; "in": it is one of the training tracks.
+        kappa, psi: noise of the dynamics and of observations.
+        coarse: probability of a coarse report at a step.
+        lead_in: share of the trial after which there are no fixes any more; coarse reports come only then.
+        wrong: share of the coarse reports that name any other class.
+        linkage: "single" or "complete".
+        epsilon: "default", or "near" (twice the spacing of the points) or "wide" (half the birth of the root).
+    """
+
+    data: str
+    truth: str
+    kappa: float
+    psi: float
+    coarse: float = 0.0
+    lead_in: float | None = None
+    wrong: float = 0.0
+    linkage: str = "single"
+    epsilon: str = "default"
+
+
+class Report(NamedTuple):
+    """A coarse report: a class of the model's tree and the level it is to be read at."""
+
+    class_: int
+    level: float
+
+
+class Observed(NamedTuple):
+    """What is observed at one step; None where nothing is."""
+
+    fix: Floats | None
+    report: Report | None
+
+
+@lru_cache(maxsize=8)
+def data(name: str) -> Tracks:
+    """The tracks of a data set."""
+    match name:
+        case "ways":
+            return datasets.configuration_space()
+        case "common":
+            return datasets.common_ends()
+        case "tankers":
+            return datasets.walks(*datasets.tanker_traffic())
+    raise ValueError(f"no data set {name!r}")
+
+
+@lru_cache(maxsize=64)
+def tree_of(name: str, linkage: str, without: int | None = None) -> tuple[Tracks, Filtration]:
+    """The tracks of a data set, all or without one, and their filtration."""
+    tracks = data(name)
+    if without is not None:
+        tracks = tracks.select([k for k in range(len(tracks)) if k != without])
+    return tracks, Filtration.fit(tracks, linkage="complete" if linkage == "complete" else "single", threads=1)
+
+
+def chosen(name: str, number: int, seed: int) -> list[int]:
+    """The true tracks of the scenarios: the first ``number`` of a seeded order."""
+    tracks = data(name)
+    if number > len(tracks):
+        raise ValueError(f"{number} scenarios of {len(tracks)} tracks")
+    order = np.random.default_rng([seed, crc32(name.encode())]).permutation(len(tracks))
+    return order[:number].tolist()
+
+
+class Scenario:
+    """One true track, followed under a setting.
+
+    Attributes:
+        truth: index of the true track.
+        path: ``(n, d)`` where the agent is at each step.
+        offset: mean error of a fix per axis, which is uniform on [0, psi] (sic, Section 4); the model has its sd.
+        model: what the filters know.
+        kept: ``(K,)`` index in the data of each of the model's tracks.
+    """
+
+    def __init__(self, setting: Setting, truth: int) -> None:
+        self.setting, self.truth = setting, truth
+        self.everything, self.tree = tree_of(setting.data, setting.linkage)
+        out = setting.truth == "out"
+        known, tree = tree_of(setting.data, setting.linkage, truth if out else None)
+        self.kept = np.array([k for k in range(len(self.everything)) if not (out and k == truth)])
+        self.path: Floats = self.everything[truth]
+        self.diagonal = self.everything.diagonal
+        self.offset = 0.5 * setting.psi * self.diagonal
+        dynamics = Dynamics.learn(
+            known, tree, _epsilon(setting.epsilon, known, tree), "uniform", setting.kappa * self.diagonal
+        )
+        self.model = Model(known, tree, dynamics, setting.psi * self.diagonal / math.sqrt(12.0))
+
+    @cached_property
+    def away(self) -> Floats:
+        """``(K,)`` tree distance of each of the model's tracks to the truth, in the tree of all tracks."""
+        return np.asarray(self.tree.tree_distance(self.kept, self.truth), dtype=np.float64)
+
+    @cached_property
+    def reach(self) -> float:
+        """Birth of the root of all tracks: the range of tree distances."""
+        return float(self.tree.birth[self.tree.root])
+
+    def observations(self, seed: int, repetition: int) -> list[Observed]:
+        """What is observed at the steps 1 to n - 1 of a repetition."""
+        s = self.setting
+        rng = np.random.default_rng([seed, crc32(s.data.encode()), self.truth, repetition])
+        steps = len(self.path) - 1
+        offsets = rng.uniform(size=(steps, 2))
+        told, lies = rng.uniform(size=(2, steps))
+        spread = rng.normal(size=(steps, SAMPLES, 2))
+        other = rng.integers(1 << 30, size=steps)
+        out = []
+        for k in range(steps):
+            at = self.path[k + 1]
+            leading = s.lead_in is None or k + 1 <= s.lead_in * steps
+            fix = at + s.psi * self.diagonal * offsets[k] if leading else None
+            report = None
+            if told[k] < s.coarse and (s.lead_in is None or not leading):
+                report = self.namer.best(at + s.psi * self.diagonal * spread[k])
+                if lies[k] < s.wrong:
+                    report = self.namer.another(report, int(other[k]))
+            out.append(Observed(fix, report))
+        return out
+
+    @cached_property
+    def namer(self) -> Namer:
+        return _namer(self.setting.data, self.setting.linkage, self.truth if self.setting.truth == "out" else None)
+
+
+class Namer:
+    """Names the class most likely to have made some points, as the authors' public code does.
+
+    A point scores a class by -log of its mean distance to the k nearest points of the class, k being the number of
+    tracks in it; the class of the largest sum is named, at the middle of its life. Single tracks are never named, nor
+    is the root, which says nothing. A class with fewer than k of its points among the ``NEAREST`` around a sample is
+    too far off to be named.
+    """
+
+    def __init__(self, tracks: Tracks, tree: Filtration) -> None:
+        self.points = KDTree(tracks.points)
+        self.count = min(NEAREST, len(tracks.points))
+        self.diagonal = tracks.diagonal
+        rank = np.repeat(tree.rank, tracks.lengths)
+        inner = np.arange(len(tree), tree.root)
+        self.classes = inner
+        self.level = 0.5 * (tree.birth[inner] + tree.death[inner])
+        self.size = (tree.hi - tree.lo)[inner]
+        self.holds = (tree.lo[inner, None] <= rank) & (rank < tree.hi[inner, None])  # (C, P)
+
+    def best(self, samples: Floats) -> Report:
+        """The class for samples ``(n, d)``."""
+        distances, rows = self.points.query(samples, k=self.count)
+        inside = self.holds[:, rows]  # (C, n, count)
+        nearest = inside & (np.cumsum(inside, axis=2) <= self.size[:, None, None])
+        mean = (nearest * distances).sum(axis=2) / self.size[:, None]
+        complete = nearest.sum(axis=2) == self.size[:, None]
+        score = np.where(complete, -np.log(np.clip(mean / self.diagonal, 1e-4, 1.0)), -math.inf).sum(axis=1)
+        k = int(np.argmax(score))
+        return Report(int(self.classes[k]), float(self.level[k]))
+
+    def another(self, report: Report, number: int) -> Report:
+        """Any class but the one reported, picked by a number."""
+        others = np.flatnonzero(self.classes != report.class_)
+        if not len(others):
+            return report
+        k = int(others[number % len(others)])
+        return Report(int(self.classes[k]), float(self.level[k]))
+
+
+@lru_cache(maxsize=64)
+def _namer(name: str, linkage: str, without: int | None) -> Namer:
+    return Namer(*tree_of(name, linkage, without))
+
+
+def _epsilon(rule: str, tracks: Tracks, tree: Filtration) -> float | None:
+    match rule:
+        case "default":
+            return None
+        case "near":
+            return 2.0 * tracks.median_spacing
+        case "wide":
+            return 0.5 * float(tree.birth[tree.root])
+    raise ValueError(f"no epsilon rule {rule!r}")
+
+
+def setting(spec: dict[str, Any]) -> Setting:
+    """The setting in a job's specification."""
+    return Setting(**spec)

@@ -1,0 +1,183 @@
+"""Runs filters over scenarios and scores them: one job is one method under one setting, all scenarios of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wakefold.evidence import CoarseClass, Evidence, Fix
+from wakefold.experiments.registry import Job, Size
+from wakefold.experiments.scenarios import Observed, Scenario, Setting, chosen
+from wakefold.filters.bootstrap import BL1, BL2
+from wakefold.filters.mhpf import MHPF
+from wakefold.model import Model
+
+Floats = NDArray[np.float64]
+NEAR = 0.33  # of the range of tree distances: the ball to come within
+LAST = 5  # distances that are averaged before they are compared with it
+
+
+class Method(NamedTuple):
+    """A filter by name.
+
+    Attributes:
+        filter: "mhpf", "bl1", "bl1+coarse" or "bl2".
+        likelihood: "log", "gaussian" or "student".
+        rule: of mhpf.
+    """
+
+    filter: str
+    likelihood: str = "log"
+    rule: str = ""
+
+    @property
+    def name(self) -> str:
+        """For tables."""
+        title = {"mhpf": "MHPF", "bl1": "BL1", "bl1+coarse": "BL1+coarse", "bl2": "BL2"}[self.filter]
+        return " ".join(part for part in (title, self.rule, self.likelihood) if part)
+
+
+LOG = [
+    Method("mhpf", "log", "arxiv2016"),
+    Method("mhpf", "log", "gsi2017"),
+    Method("bl1"),
+    Method("bl1+coarse"),
+    Method("bl2"),
+]
+GAUSSIAN = [method._replace(likelihood="gaussian") for method in LOG]
+
+
+def make(method: Method, model: Model, particles: int, seed: int) -> Any:
+    """The filter a method names."""
+    settings: dict[str, Any] = {"likelihood": method.likelihood, "seed": seed}
+    match method.filter:
+        case "mhpf":  # of all sets, as the papers have it, so that the stack's estimate is the papers'
+            return MHPF(model, particles, rule=method.rule, levels="all", **settings)  # type: ignore[arg-type]
+        case "bl1" | "bl1+coarse":
+            return BL1(model, particles, coarse=method.filter == "bl1+coarse", **settings)
+        case "bl2":
+            return BL2(model, particles, **settings)
+    raise ValueError(f"no filter {method.filter!r}")
+
+
+class Scores(NamedTuple):
+    """Scores of one method under one setting, each ``(scenarios, repetitions)``.
+
+    Attributes:
+        mse: mean over time of the squared distance of the estimate from the truth, base set; square plane units.
+        mse_stack: the same, mean of the whole stack.
+        distance: mean over time of the tree distance of the most probable track to the truth; NaN for BL2.
+        excess: the same, over the best attainable: the least such distance of any track the filter knows.
+        converged: share of the trial after which the excess, averaged over five steps, stays within a third of the
+            range; 1 where that never happens.
+        recoveries: in a run.
+    """
+
+    mse: Floats
+    mse_stack: Floats
+    distance: Floats
+    excess: Floats
+    converged: Floats
+    recoveries: Floats
+
+
+def job(setting: Setting, method: Method, size: Size) -> Job:
+    """A method under a setting."""
+    scenarios = size.tanker_scenarios if setting.data == "tankers" else size.scenarios
+    spec = {
+        "setting": setting._asdict(),
+        "method": method._asdict(),
+        "scenarios": scenarios,
+        "repetitions": size.repetitions,
+        "particles": size.particles,
+        "seed": size.seed,
+    }
+    dear = (3.0 if method.filter == "mhpf" else 1.0) * (2.0 if setting.data == "tankers" else 1.0)
+    return Job("simulate:run", spec, dear * scenarios * size.repetitions / 250)
+
+
+def scores(result: dict[str, Any]) -> Scores:
+    """Scores from the result of a job."""
+    return Scores(*(np.array(result[name], dtype=np.float64) for name in Scores._fields))
+
+
+def run(spec: dict[str, Any]) -> dict[str, Any]:
+    """Scores of a method under a setting, plain JSON; None where there is no score."""
+    setting, method, seed = Setting(**spec["setting"]), Method(**spec["method"]), spec["seed"]
+    rows = []
+    for truth in chosen(setting.data, spec["scenarios"], seed):
+        scenario = _scenario(setting, truth)
+        f = make(method, scenario.model, spec["particles"], seed)
+        rows.append(
+            [
+                follow(f, scenario, _observed(setting, truth, seed, r), f"{truth}/{r}")
+                for r in range(spec["repetitions"])
+            ]
+        )
+    table = np.array(rows)  # (scenarios, repetitions, scores)
+    return {
+        name: [[None if np.isnan(x) else float(x) for x in row] for row in table[:, :, k]]
+        for k, name in enumerate(Scores._fields)
+    }
+
+
+# A worker meets the same scenario again with another method.
+_scenario = lru_cache(maxsize=64)(Scenario)
+
+
+@lru_cache(maxsize=512)
+def _observed(setting: Setting, truth: int, seed: int, repetition: int) -> list[Observed]:
+    return _scenario(setting, truth).observations(seed, repetition)
+
+
+def evidence(observed: Observed, offset: Floats | float = 0.0) -> list[Evidence]:
+    """What a filter is given; ``offset`` is the known mean error of a fix."""
+    out: list[Evidence] = [] if observed.fix is None else [Fix(observed.fix - offset)]
+    if observed.report is not None:
+        out.append(CoarseClass(observed.report.class_, level=observed.report.level))
+    return out
+
+
+def follow(f: Any, scenario: Scenario, observations: Sequence[Observed], agent: str) -> tuple[float, ...]:
+    """Scores of one run, in the order of ``Scores``."""
+    belief = f.start(at="begin", agent=agent)
+    # A proper likelihood is matched to the noise, so its mean is taken off; the papers' weight knows of no mean.
+    offset = 0.0 if f.likelihood == "log" else scenario.offset
+    names_tracks = f.single
+    squares, squares_stack, distances = [], [], []
+    for observed, at in zip(observations, scenario.path[1:], strict=True):
+        belief = f.step(belief, evidence(observed, offset), dt=1.0)
+        squares.append(_square(belief.mean(), at))
+        squares_stack.append(squares[-1] if belief.stack is None else _square(belief.mean("stack"), at))
+        if names_tracks:
+            distances.append(scenario.away[likeliest(belief, len(scenario.away))])
+    distance = np.array(distances or [np.nan])
+    excess = distance - scenario.away.min()
+    late = arrival(excess, NEAR * scenario.reach)
+    scored = (np.mean(squares), np.mean(squares_stack), distance.mean(), excess.mean(), late, belief.recoveries)
+    return tuple(float(x) for x in scored)
+
+
+def likeliest(belief: Any, tracks: int) -> int:
+    """The most probable track. ``Belief.map`` would also merge tracks that are duplicates, at ten times the cost."""
+    return int(np.bincount(belief.classes, belief.weights, tracks).argmax())
+
+
+def arrival(excess: Floats, near: float) -> float:
+    """Share of a trial after which the mean of the last few excess distances stays within ``near``; 1 for never."""
+    if np.isnan(excess).any():
+        return np.nan
+    sums = np.cumsum(np.concatenate([[0.0], excess]))
+    ends = np.arange(1, len(sums))
+    begins = np.maximum(ends - LAST, 0)
+    outside = np.flatnonzero((sums[ends] - sums[begins]) / (ends - begins) > near)
+    return 0.0 if not len(outside) else float(outside[-1] + 1) / len(excess)
+
+
+def _square(estimate: Floats, at: Floats) -> float:
+    away = estimate - at
+    return float(away @ away)

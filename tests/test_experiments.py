@@ -1,0 +1,140 @@
+"""The harness of the experiments: observations, truth left out, scores, and results kept on disk."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from wakefold.experiments import runner, simulate
+from wakefold.experiments.registry import Job, Size
+from wakefold.experiments.scenarios import Namer, Scenario, Setting, chosen, data, tree_of
+from wakefold.parallel import Threads
+
+TINY = Size(scenarios=2, repetitions=2, tanker_scenarios=1)
+OUT = Setting("common", "out", 0.3, 0.05, coarse=0.5)
+
+
+def test_the_truth_is_in_no_model_or_in_all_of_it():
+    out, inside = Scenario(OUT, 4), Scenario(OUT._replace(truth="in"), 4)
+    assert len(out.model.tracks) == 12
+    assert not (out.model.dynamics.points[:, None] == data("common")[4][5:-5]).all(axis=2).any()
+    assert len(inside.model.tracks) == 13
+    assert inside.away.min() == inside.away[4] == 0
+    assert out.away.min() == out.tree.death[4]
+    assert out.reach == out.tree.birth.max()
+
+
+def test_observations_are_those_of_section_4():
+    scenario = Scenario(OUT, 2)
+    seen = scenario.observations(0, 1)
+    assert len(seen) == len(scenario.path) - 1
+    offsets = np.array([o.fix for o in seen]) - scenario.path[1:]
+    assert offsets.min() >= 0
+    assert offsets.max() <= OUT.psi * scenario.diagonal
+    assert offsets.max() > 0.9 * OUT.psi * scenario.diagonal
+    assert 0.3 < np.mean([o.report is not None for o in seen]) < 0.7
+    again = scenario.observations(0, 1)
+    assert all(np.array_equal(a.fix, b.fix) and a.report == b.report for a, b in zip(seen, again, strict=True))
+    other = Scenario(OUT._replace(kappa=0.75, psi=0.01), 2).observations(0, 1)
+    small = np.array([o.fix for o in other]) - scenario.path[1:]
+    assert np.allclose(5 * small, offsets)  # the same numbers at another scale
+    assert not np.array_equal(seen[0].fix, scenario.observations(0, 2)[0].fix)
+
+
+def test_after_the_lead_in_there_are_reports_only():
+    scenario = Scenario(OUT._replace(lead_in=0.1, coarse=1.0), 2)
+    seen = scenario.observations(0, 0)
+    fixes = [o.fix is not None for o in seen]
+    assert fixes == sorted(fixes, reverse=True)
+    assert sum(fixes) == int(0.1 * len(seen))
+    assert [o.report is None for o in seen] == fixes
+
+
+def test_a_share_of_the_reports_is_wrong():
+    right, wrong = (
+        [o.report for r in range(4) for o in Scenario(OUT._replace(wrong=w), 2).observations(0, r) if o.report]
+        for w in (0.0, 0.3)
+    )
+    different = np.mean([a != b for a, b in zip(right, wrong, strict=True)])
+    assert 0.2 < different < 0.4
+
+
+def test_reports_name_the_class_of_the_definition():
+    tracks, tree = tree_of("common", "single", 3)
+    namer, rng = Namer(tracks, tree), np.random.default_rng(1)
+    for _ in range(20):
+        at = tracks.points[rng.integers(len(tracks.points))]
+        samples = at + rng.normal(scale=0.05, size=(10, 2))
+        best, most = -1, -math.inf
+        for c in range(len(tree), tree.root):
+            members = tree.members(c)
+            points = np.concatenate([tracks[i] for i in members])
+            total = 0.0
+            for sample in samples:
+                near = np.sort(np.linalg.norm(points - sample, axis=1))[: len(members)]
+                total += -math.log(min(max(near.mean() / tracks.diagonal, 1e-4), 1.0))
+            if total > most:
+                best, most = c, total
+        report = namer.best(samples)
+        assert report.class_ == best
+        assert report.level == (tree.birth[best] + tree.death[best]) / 2
+        assert namer.another(report, 5).class_ != best
+
+
+def test_arrival_is_the_end_of_the_last_stay_outside():
+    assert simulate.arrival(np.zeros(10), 0.3) == 0
+    assert simulate.arrival(np.ones(10), 0.3) == 1
+    assert simulate.arrival(np.array([1.0] * 5 + [0.0] * 15), 0.3) == 0.4  # of 5 and more the mean is .2 from 8 on
+    assert simulate.arrival(np.array([0.0] * 19 + [2.0]), 0.3) == 1
+
+
+def test_scores_are_those_of_runs_by_hand():
+    method = simulate.Method("mhpf", "log", "gsi2017")
+    job = simulate.job(OUT, method, TINY)
+    assert json.loads(json.dumps(job.spec)) == job.spec
+    found = simulate.scores(simulate.run(dict(job.spec)))
+    truth = chosen("common", 2, 0)[1]
+    scenario = Scenario(OUT, truth)
+    f = simulate.make(method, scenario.model, 100, 0)
+    belief, squares, away = f.start(at="begin", agent=f"{truth}/1"), [], []
+    for observed, at in zip(scenario.observations(0, 1), scenario.path[1:], strict=True):
+        belief = f.step(belief, simulate.evidence(observed), dt=1.0)
+        squares.append(((belief.mean() - at) ** 2).sum())
+        track = scenario.kept[belief.map()]
+        away.append(scenario.tree.tree_distance(int(track), truth))
+    assert found.mse[1, 1] == pytest.approx(np.mean(squares))
+    assert found.distance[1, 1] == pytest.approx(np.mean(away))
+    assert found.excess[1, 1] == pytest.approx(np.mean(away) - scenario.tree.death[truth])
+
+
+def test_with_fixes_alone_gsi2017_is_bl1():
+    setting = Setting("common", "out", 0.05, 0.05)
+    runs = [simulate.run(dict(simulate.job(setting, m, TINY).spec)) for m in simulate.LOG]
+    mhpf, bl1, coarse = (simulate.scores(runs[k]) for k in (1, 2, 3))
+    assert np.allclose(mhpf.mse, bl1.mse)
+    assert np.array_equal(bl1.mse, coarse.mse)
+    assert np.isnan(simulate.scores(runs[4]).distance).all()  # BL2 tells no classes apart
+
+
+def test_results_are_kept_and_an_interrupted_run_goes_on(tmp_path, monkeypatch):
+    jobs = [simulate.job(OUT, method, TINY) for method in simulate.LOG[:3]]
+    seen = []
+    first = runner.run_all([*jobs, jobs[0]], tmp_path, Threads(1), seen.append)
+    assert first[0] == first[3]
+    assert len(list(tmp_path.iterdir())) == 3
+    assert seen[-1] == 1
+    kept = runner.key(jobs[1], runner.code_digest())
+    (tmp_path / f"{kept}.json").unlink()
+    ran = []
+    monkeypatch.setattr(simulate, "run", lambda spec: ran.append(spec) or {"again": True})
+    second = runner.run_all(jobs, tmp_path, Threads(1))
+    assert len(ran) == 1
+    assert second == [first[0], {"again": True}, first[2]]
+
+
+def test_results_hang_on_the_code_and_on_all_of_the_specification():
+    one, other = (Job("simulate:run", {"seed": seed}) for seed in (0, 1))
+    assert runner.key(one, "a") != runner.key(other, "a")
+    assert runner.key(one, "a") != runner.key(one, "b")
+    assert runner.key(one, "a") == runner.key(Job("simulate:run", {"seed": 0}, cost=9.0), "a")
