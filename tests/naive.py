@@ -1,5 +1,6 @@
 """The definitions, in slow and obvious loops: what the fast kernels are checked against."""
 
+import itertools
 import math
 from itertools import pairwise
 
@@ -277,3 +278,80 @@ def is_jump(track, i, max_speed):
     if i == last:
         return fast(last - 1, last) and not fast(last - 2, last - 1)
     return fast(i - 1, i) and fast(i, i + 1)
+
+
+# Relations ----------------------------------------------------------------------------------------------------------
+
+
+def pair_motion(related, q, k, noise, dt, parts=2000):
+    """Transition and noise of two objects on one axis, state (x1, x2, v1, v2), by small steps of the diffusion."""
+    a = np.zeros((4, 4))
+    a[0, 2] = a[1, 3] = 1.0
+    diffusion = np.diag([0.0, 0.0, q**2, q**2])
+    if related:
+        # w = v2 - v1: dw = -k w dt + noise dW; the centre (v1 + v2) / 2 diffuses as that of two independent objects
+        a[2:, 2:] = [[-k / 2, k / 2], [k / 2, -k / 2]]
+        centre, apart = q**2 / 2, noise**2 / 4
+        diffusion[2:, 2:] = [[centre + apart, centre - apart], [centre - apart, centre + apart]]
+    h = dt / parts
+    step = np.eye(4) + a * h + a @ a * h**2 / 2
+    f, w = np.eye(4), np.zeros((4, 4))
+    for _ in range(parts):
+        w = step @ w @ step.T + diffusion * h
+        f = step @ f
+    return f, w
+
+
+def relation_by_enumeration(fixes, dt, sd, q, speed, k, noise, prior, on, off):
+    """P(related at the last fix) for two objects always seen, over all histories of the relation; their log evidence.
+
+    Args:
+        fixes: (T, 2, d).
+        on, off: probabilities of switching in a step.
+    """
+    motions = [pair_motion(r, q, k, noise, dt) for r in (False, True)]
+    d = fixes.shape[2]
+    h = np.array([[1.0, 0, 0, 0], [0, 1.0, 0, 0]])
+    odds = {False: [], True: []}
+    for history in itertools.product([False, True], repeat=len(fixes)):
+        log = math.log(prior if history[0] else 1 - prior)
+        mean = np.zeros((4, d))
+        mean[:2] = fixes[0]
+        cov = np.diag([sd**2, sd**2, speed**2, speed**2])
+        if history[0]:  # long related: w has its law of the long run
+            c = np.array([0, 0, -1.0, 1.0])
+            gain = cov @ c / (c @ cov @ c + noise**2 / (2 * k))
+            mean, cov = mean - np.outer(gain, c @ mean), cov - np.outer(gain, c @ cov)
+        for before, after, z in zip(history[:-1], history[1:], fixes[1:], strict=True):
+            f, w = motions[before]
+            mean, cov = f @ mean, f @ cov @ f.T + w
+            s = h @ cov @ h.T + sd**2 * np.eye(2)
+            away = z - h @ mean
+            log -= 0.5 * (d * np.linalg.slogdet(2 * np.pi * s)[1] + np.sum(away * np.linalg.solve(s, away)))
+            gain = cov @ h.T @ np.linalg.inv(s)
+            mean, cov = mean + gain @ away, cov - gain @ h @ cov
+            change = off if before else on
+            log += math.log(change if before != after else 1 - change)
+        odds[history[-1]].append(log)
+    logs = {r: np.logaddexp.reduce(odds[r]) for r in odds}
+    total = np.logaddexp(logs[False], logs[True])
+    return math.exp(logs[True] - total), total
+
+
+def kalman_fixes(fixes, dt, sd, q, speed):
+    """Kalman filter of one object at nearly constant velocity: means (T, 2, d), covariances (T, 2, 2), log evidence."""
+    d, log = fixes.shape[1], 0.0
+    f = np.array([[1.0, dt], [0.0, 1.0]])
+    w = q**2 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    mean, cov = np.stack([fixes[0], np.zeros(d)]), np.diag([sd**2, speed**2])
+    means, covs = [mean], [cov]
+    for z in fixes[1:]:
+        mean, cov = f @ mean, f @ cov @ f.T + w
+        s = cov[0, 0] + sd**2
+        away = z - mean[0]
+        log -= 0.5 * (d * math.log(2 * math.pi * s) + np.sum(away**2) / s)
+        gain = cov[:, 0] / s
+        mean, cov = mean + np.outer(gain, away), cov - np.outer(gain, cov[0])
+        means.append(mean)
+        covs.append(cov)
+    return np.array(means), np.array(covs), log

@@ -7,26 +7,39 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from wakefold.belief import Belief
+    from wakefold.detections import Detections
     from wakefold.distance import frechet, frechet_matrix
     from wakefold.evidence import CoarseClass, Fix
     from wakefold.filters.bootstrap import BL1, BL2
     from wakefold.filters.hmm import GaussianHMM
     from wakefold.filters.mhpf import MHPF
+    from wakefold.filters.relational import RelationalFilter
     from wakefold.filtration import Filtration
     from wakefold.io import read_tracks, write_tracks
     from wakefold.model import Model, learn, load
+    from wakefold.relations import Activity, ConstantVelocity, PairEvidence, Relation, RelationalModel, Sampler
+    from wakefold.scene import Scene
     from wakefold.tracks import Tracks
 
 _WHERE = {  # looked up on first use: importing the package costs no numba, pyarrow or matplotlib
+    "Activity": "relations",
     "BL1": "filters.bootstrap",
     "BL2": "filters.bootstrap",
     "Belief": "belief",
     "CoarseClass": "evidence",
+    "ConstantVelocity": "relations",
+    "Detections": "detections",
     "Filtration": "filtration",
     "Fix": "evidence",
     "GaussianHMM": "filters.hmm",
     "MHPF": "filters.mhpf",
     "Model": "model",
+    "PairEvidence": "relations",
+    "Relation": "relations",
+    "RelationalFilter": "filters.relational",
+    "RelationalModel": "relations",
+    "Sampler": "relations",
+    "Scene": "scene",
     "Tracks": "tracks",
     "frechet": "distance",
     "frechet_matrix": "distance",
@@ -52,6 +65,15 @@ __all__ = [  # noqa: RUF022 (by subject)
     "BL1",
     "BL2",
     "GaussianHMM",
+    "ConstantVelocity",
+    "Sampler",
+    "Relation",
+    "PairEvidence",
+    "Activity",
+    "RelationalModel",
+    "Detections",
+    "RelationalFilter",
+    "Scene",
 ]
 
 

@@ -1,0 +1,85 @@
+"""How objects that are related move: exact transition and noise of linear drift and diffusion over a time step."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from wakefold.relations import Coupling
+
+Floats = NDArray[np.float64]
+
+
+def transition(drag: Floats, diffusion: Floats, dt: float) -> tuple[Floats, Floats]:
+    """Exact transition and noise covariance, both ``(2n, 2n)``, of n objects on one axis over ``dt`` seconds.
+
+    The state is (positions, velocities); dx = v dt, dv = -drag v dt + noise of covariance ``diffusion`` per second.
+
+    Args:
+        drag: ``(n, n)``, 1/s.
+        diffusion: ``(n, n)``, m²/s³.
+    """
+    f, q = _transition(drag.tobytes(), diffusion.tobytes(), len(drag), float(dt))
+    return f, q
+
+
+@lru_cache(maxsize=4096)
+def _transition(drag: bytes, diffusion: bytes, n: int, dt: float) -> tuple[Floats, Floats]:
+    k = np.frombuffer(drag).reshape(n, n)
+    a, g = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
+    a[:n, n:], a[n:, n:] = np.eye(n), -k
+    g[n:, n:] = np.frombuffer(diffusion).reshape(n, n)
+    # Van Loan (1978) over a short time, then doubled: over a long one e^(drag dt) would drown the noise
+    doublings = max(0, int(np.ceil(np.log2(max(np.abs(k).sum(axis=1).max(), 1e-300) * dt)))) if dt > 0.0 else 0
+    h = dt / 2**doublings
+    both = np.zeros((4 * n, 4 * n))
+    both[: 2 * n, : 2 * n], both[: 2 * n, 2 * n :], both[2 * n :, 2 * n :] = -a, g, a.T
+    e: Floats = np.asarray(expm(both * h), dtype=np.float64)
+    f: Floats = e[2 * n :, 2 * n :].T
+    q: Floats = f @ e[: 2 * n, 2 * n :]
+    for _ in range(doublings):
+        q = q + f @ q @ f.T
+        f = f @ f
+    out = np.asarray(f, dtype=np.float64), np.asarray(0.5 * (q + q.T), dtype=np.float64)
+    for a in out:
+        a.flags.writeable = False  # shared by all who ask again
+    return out
+
+
+def group(q: Floats, couplings: list[tuple[int, int, Coupling]]) -> tuple[Floats, Floats]:
+    """Drag and diffusion, ``(n, n)`` each, of objects with diffusions ``q (n,)`` under couplings (i, j, how).
+
+    The differences within a set of coupled objects diffuse as their coupling says (the strongest noise of several), its
+    centre as the mean of independent members. i follows j where a coupling is not mutual.
+    """
+    n = len(q)
+    drag, diffusion = np.zeros((n, n)), np.diag(q**2)
+    label, noise = np.arange(n), np.zeros(n)
+    for i, j, how in couplings:
+        share = 0.5 * how.k if how.mutual else how.k
+        drag[i, i] += share
+        drag[i, j] -= share
+        if how.mutual:
+            drag[j, j] += share
+            drag[j, i] -= share
+        together = (label == label[i]) | (label == label[j])
+        noise[together] = max(noise[together].max(), how.noise)
+        label[together] = label[i]
+    for at in np.unique(label):
+        members = np.flatnonzero(label == at)
+        if len(members) > 1:
+            centre = np.full((len(members), len(members)), 1.0 / len(members))
+            rest = np.eye(len(members)) - centre
+            diffusion[np.ix_(members, members)] = (
+                centre @ np.diag(q[members] ** 2) @ centre + 0.5 * noise[members[0]] ** 2 * rest
+            )
+    return drag, diffusion
+
+
+def row(drag: float, diffusion: float, dt: float) -> Floats:
+    """``(5,)`` motion of one object, or of the difference of two, as kernels/pairs.py reads it."""
+    f, q = transition(np.array([[drag]]), np.array([[diffusion]]), dt)
+    return np.array([f[0, 1], f[1, 1], q[0, 0], q[0, 1], q[1, 1]])

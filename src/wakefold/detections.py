@@ -1,0 +1,129 @@
+"""What a sensor reports in one scan: positions of objects, with or without their identities."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+DetectProb = float | Callable[[Floats], ArrayLike]
+
+
+class Detections:
+    """One scan of a sensor.
+
+    Args:
+        positions: ``(m, d)`` metres; m may be 0 (an empty scan: whoever could have been seen was missed).
+        sd: standard deviation of a position per axis, metres; one number, or ``(m,)``.
+        ids: names of the objects, whole numbers or texts, each at most once; None where the sensor cannot tell.
+        kinds: kind of each object, of the model's; one for all, or ``(m,)``. None: the model's first kind.
+        detect_prob: probability that an object is detected; a number, or a function of positions ``(n, d)`` that gives
+            ``(n,)``. A blind region has 0.
+        clutter: expected number of false detections per square metre (d = 2); only for detections without ids.
+        birth: expected number of new objects per square metre; only for detections without ids.
+
+    Raises:
+        ValueError: a value missing, not finite or out of range, or an id that is there twice; the message names it.
+    """
+
+    __slots__ = ("birth", "clutter", "detect_prob", "ids", "kinds", "positions", "sd")
+
+    def __init__(
+        self,
+        positions: ArrayLike,
+        sd: ArrayLike = 1.0,
+        ids: Sequence[int] | Sequence[str] | NDArray | None = None,
+        *,
+        kinds: str | Sequence[str] | None = None,
+        detect_prob: DetectProb = 0.99,
+        clutter: float = 0.0,
+        birth: float = 1e-3,
+    ) -> None:
+        points = np.array(positions, dtype=np.float64)
+        if points.size == 0:
+            points = points.reshape(0, points.shape[1] if points.ndim == 2 and points.shape[1] else 2)
+        if points.ndim != 2 or not 1 <= points.shape[1] <= 3:
+            raise ValueError(f"Detections positions must have shape (m, d) with d 1 to 3, got {points.shape}")
+        if not np.isfinite(points).all():
+            row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
+            raise ValueError(f"Detections positions must be finite, row {row} is {points[row].tolist()}")
+        count = len(points)
+        spread = np.asarray(sd, dtype=np.float64)
+        if spread.shape not in ((), (count,)) or not (np.isfinite(spread).all() and (spread > 0).all()):
+            raise ValueError("Detections sd must be a positive number of metres, or one for each position")
+        if ids is not None:
+            ids = np.asarray(ids)
+            if count == 0:
+                ids = np.zeros(0, dtype=np.int64)
+            if ids.shape != (count,) or ids.dtype.kind not in "iuU":
+                raise ValueError(f"Detections ids must be {count} whole numbers or texts")
+            names, times = np.unique(ids, return_counts=True)
+            if (times > 1).any():
+                raise ValueError(f"Detections ids: {names[times > 1][0]} is there twice")
+        if kinds is not None and not isinstance(kinds, str) and len(kinds) != count:
+            raise ValueError(f"Detections kinds must be one kind, or {count} of them")
+        if not callable(detect_prob) and not 0.0 <= detect_prob <= 1.0:
+            raise ValueError(f"Detections detect_prob must be a probability or a function, got {detect_prob}")
+        for name, value in (("clutter", clutter), ("birth", birth)):
+            if not 0.0 <= value < math.inf:
+                raise ValueError(f"Detections {name} must be a number >= 0, got {value}")
+        self.positions: Floats = points
+        self.sd: Floats = np.broadcast_to(spread, (count,)).copy()
+        self.ids: NDArray | None = ids
+        self.kinds = kinds
+        self.detect_prob: DetectProb = detect_prob
+        self.clutter, self.birth = float(clutter), float(birth)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def __repr__(self) -> str:
+        return f"Detections({len(self)} {'without ids' if self.ids is None else 'with ids'})"
+
+    def chance(self, positions: Floats) -> Floats:
+        """``(n,)`` probability that objects at ``positions (n, d)`` are detected.
+
+        Raises:
+            ValueError: ``detect_prob`` gives something that is no probability.
+        """
+        if not callable(self.detect_prob):
+            return np.full(len(positions), float(self.detect_prob))
+        out = np.asarray(self.detect_prob(positions), dtype=np.float64)
+        if out.shape != (len(positions),) or not ((out >= 0.0) & (out <= 1.0)).all():
+            raise ValueError(f"detect_prob must give {len(positions)} probabilities, got an array of shape {out.shape}")
+        return out
+
+    def kind_numbers(self, kinds: list[str]) -> NDArray[np.int64]:
+        """``(m,)`` place of each object's kind among the model's.
+
+        Raises:
+            ValueError: a kind the model does not have.
+        """
+        named = [kinds[0] if self.kinds is None else self.kinds] if isinstance(self.kinds, str | None) else self.kinds
+        for kind in named:
+            if kind not in kinds:
+                raise ValueError(f"Detections kinds: {kind!r} is none of {', '.join(kinds)}")
+        numbers = np.array([kinds.index(k) for k in named], dtype=np.int64)
+        return np.broadcast_to(numbers, (len(self),)).copy() if len(numbers) != len(self) else numbers
+
+    def sorted(self) -> Detections:
+        """The same scan in an order of its own (by id, else by position), so that the caller's does not matter."""
+        if self.ids is not None:
+            order = np.argsort(self.ids, kind="stable")
+        else:
+            order = np.lexsort((self.sd, *self.positions.T))
+        kinds = self.kinds
+        if kinds is not None and not isinstance(kinds, str):
+            kinds = [str(kinds[i]) for i in order]
+        return Detections(
+            self.positions[order],
+            self.sd[order],
+            None if self.ids is None else self.ids[order],
+            kinds=kinds,
+            detect_prob=self.detect_prob,
+            clutter=self.clutter,
+            birth=self.birth,
+        )

@@ -1,0 +1,164 @@
+"""The relational particle filter: several objects and what they are to each other.
+
+Manfredotti, Fleet, Hamilton and Zilles, "Relational Particle Filtering" (2011), and what makes it usable: objects by
+Kalman filters given the relations (Rao-Blackwellised), or relations summed out for each pair.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Literal
+
+import numpy as np
+
+from wakefold import collapsed, joint
+from wakefold.activities import begin
+from wakefold.detections import Detections
+from wakefold.gating import Settings
+from wakefold.particles import agent_key, as_seconds
+from wakefold.relations import RelationalModel, Sampler
+from wakefold.scene import Pairs, Particles, Scene
+
+Engine = Literal["bootstrap", "adapted", "rbk", "collapsed"]
+ENGINES = ("bootstrap", "adapted", "rbk", "collapsed")
+
+
+class RelationalFilter:
+    """Follows several objects together with the relations between them.
+
+    Engines, all of the same model and with the same answers:
+
+    - "bootstrap": Algorithm 1 of the paper; objects and relations are sampled, then weighed by what is seen.
+    - "adapted": objects are sampled given what is seen, and weighed by how likely that was.
+    - "rbk": relations are sampled, objects follow by Kalman filter.
+    - "collapsed": the relation of each pair is summed out; for hundreds of objects. No particles, no chance.
+
+    The first three keep joint hypotheses about sets of objects that may be related (blocks).
+
+    Args:
+        model: kinds of objects, relations, activities.
+        engine: see above.
+        particles: of the first three engines.
+        gate: pairs farther apart than this, metres, are taken as unrelated.
+        forget: seconds after which an object that is not seen is let go.
+        cluster: most objects of a block.
+        hypotheses: how many joint assignments are weighed for detections without ids.
+        seed: of the random stream.
+
+    Raises:
+        ValueError: a setting out of range; the message names it.
+    """
+
+    def __init__(
+        self,
+        model: RelationalModel,
+        engine: Engine = "collapsed",
+        *,
+        particles: int = 100,
+        gate: float = 10.0,
+        forget: float = 60.0,
+        cluster: int = 8,
+        hypotheses: int = 10,
+        seed: int = 0,
+    ) -> None:
+        if engine not in ENGINES:
+            raise ValueError(f"engine must be one of {', '.join(ENGINES)}, got {engine!r}")
+        for name, count in (("particles", particles), ("cluster", cluster), ("hypotheses", hypotheses)):
+            if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
+                raise ValueError(f"{name} must be a whole number of at least 1, got {count}")
+        if not 0.0 < gate < math.inf:
+            raise ValueError(f"gate must be a positive number of metres, got {gate}")
+        if not forget > 0.0:
+            raise ValueError(f"forget must be a positive number of seconds, got {forget}")
+        if engine != "bootstrap":
+            for kind, motion in model.objects.items():
+                if isinstance(motion, Sampler):
+                    raise ValueError(f"kind {kind!r}: motion by a Sampler needs engine='bootstrap', got {engine!r}")
+        self.model, self.seed = model, int(seed)
+        self.settings = Settings(
+            model, engine, int(particles), float(gate), float(forget), int(cluster), int(hypotheses)
+        )
+
+    def start(self, time: float | str | datetime = 0.0, *, agent: str | None = None) -> Scene:
+        """The belief before anything is seen: no objects.
+
+        Args:
+            time: seconds (UTC), a datetime or ISO 8601 text.
+            agent: a name; scenes of different names draw different random numbers from the same seed.
+        """
+        count = 0 if self.settings.engine == "collapsed" else self.settings.particles
+        none, whole = np.zeros(0), np.zeros(0, dtype=np.int64)
+        about = [
+            [a for a in self.model.activities if self.model.relation_of(a) == i]
+            for i in range(len(self.model.relations))
+        ]
+        pairs = tuple(
+            Pairs(
+                whole, whole, none, np.zeros((0, 2, 2, 2)), np.zeros((0, 2, 3)), np.zeros((count, 0), bool),
+                tuple(begin(none) for _ in activities),
+            )
+            for activities in about
+        )  # fmt: skip
+        particles = None
+        if count:
+            particles = Particles(np.zeros((count, 2, 0, 2)), np.zeros((count, 0, 0)), np.zeros((count, 0)), whole)
+        return Scene(
+            model=self.model,
+            ids=whole,
+            kinds=whole,
+            serial=whole,
+            mean=np.zeros((0, 2, 2)),
+            cov=np.zeros((0, 3)),
+            own_mean=np.zeros((0, 2, 2)),
+            own_cov=np.zeros((0, 3)),
+            existence=none,
+            unseen=none,
+            pairs=pairs,
+            key=agent_key(self.seed, agent),
+            particles=particles,
+            time=as_seconds(time),
+        )
+
+    def step(
+        self,
+        scene: Scene,
+        scans: Detections | Sequence[Detections] = (),
+        dt: float | None = None,
+        *,
+        time: float | str | datetime | None = None,
+    ) -> Scene:
+        """The belief after ``dt`` seconds (or at ``time``) and what was seen then.
+
+        Args:
+            scans: one scan, or several of one moment. None at all: nobody looked. An empty scan: nobody was seen.
+
+        Raises:
+            ValueError, TypeError: scans that do not fit the scene or the model, or a time that runs backwards.
+        """
+        if (dt is None) == (time is None):
+            raise ValueError("step takes either dt or time")
+        seconds = as_seconds(time) - scene.time if time is not None else float(dt or 0.0)
+        if not 0.0 <= seconds < math.inf:
+            raise ValueError(f"time must not run backwards: dt is {seconds}")
+        if isinstance(scans, Detections):
+            scans = [scans]
+        for scan in scans:
+            if not isinstance(scan, Detections):
+                raise TypeError(f"step takes Detections, got {scan!r}")
+        if not scans:
+            return self._one(scene, None, seconds)
+        for scan in scans:
+            scene = self._one(scene, scan.sorted(), seconds)
+            seconds = 0.0  # the others are of the same moment
+        return scene
+
+    def _one(self, scene: Scene, scan: Detections | None, dt: float) -> Scene:
+        if (scene.particles is None) != (self.settings.engine == "collapsed"):
+            raise ValueError(f"the scene was made by another engine than {self.settings.engine!r}")
+        d = scene.mean.shape[2]
+        if scan is not None and len(scan) and len(scene) and scan.positions.shape[1] != d:
+            raise ValueError(f"Detections have {scan.positions.shape[1]} coordinates, the objects so far {d}")
+        engine = collapsed if self.settings.engine == "collapsed" else joint
+        return engine.step(self.settings, scene, scan, dt)

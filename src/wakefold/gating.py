@@ -1,0 +1,261 @@
+"""Which objects there are and which pairs are looked at: what the engines of the relational filter share."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from wakefold.activities import begin
+from wakefold.couplings import row
+from wakefold.detections import Detections
+from wakefold.kernels import pairs as kernel
+from wakefold.kernels.predicates import truth
+from wakefold.relations import ConstantVelocity, Relation, RelationalModel
+from wakefold.scene import Pairs, Scene
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+HYSTERESIS = 1.25  # a pair is let go at this many gates
+GONE = 0.01  # an object is let go when it exists with less than this probability
+
+
+class Settings(NamedTuple):
+    """What ``RelationalFilter`` was told."""
+
+    model: RelationalModel
+    engine: str
+    particles: int
+    gate: float
+    forget: float
+    cluster: int
+    hypotheses: int
+
+
+class Objects(NamedTuple):
+    """The columns of ``Scene`` that tell of objects."""
+
+    ids: NDArray
+    kinds: Ints
+    serial: Ints
+    mean: Floats
+    cov: Floats
+    existence: Floats
+    unseen: Floats
+
+    def keep(self, rows: NDArray) -> Objects:
+        return Objects(
+            self.ids[rows],
+            self.kinds[rows],
+            self.serial[rows],
+            self.mean[rows],
+            self.cov[rows],
+            self.existence[rows],
+            self.unseen[rows],
+        )
+
+
+def objects_of(scene: Scene, mean: Floats, cov: Floats) -> Objects:
+    """Copies of the columns, with the states given, to be worked on."""
+    return Objects(
+        scene.ids,
+        scene.kinds.copy(),
+        scene.serial.copy(),
+        mean.copy(),
+        cov.copy(),
+        scene.existence.copy(),
+        scene.unseen.copy(),
+    )
+
+
+def match(ids: NDArray, scan: Detections) -> tuple[Ints, Ints]:
+    """Which detection each object has, ``(n,)``, -1 for none; and the detections of new objects.
+
+    Raises:
+        ValueError: ids of another type than before.
+    """
+    assert scan.ids is not None
+    if len(ids) and len(scan) and (ids.dtype.kind == "U") != (scan.ids.dtype.kind == "U"):
+        raise ValueError("Detections ids were whole numbers before and are texts now, or the other way round")
+    at = {name: i for i, name in enumerate(ids.tolist())}
+    found, fresh = np.full(len(ids), -1, dtype=np.int64), []
+    for j, name in enumerate(scan.ids.tolist()):
+        if name in at:
+            found[at[name]] = j
+        else:
+            fresh.append(j)
+    return found, np.array(fresh, dtype=np.int64)
+
+
+def enter(objects: Objects, scan: Detections, fresh: Ints, model: RelationalModel, serials: int) -> Objects:
+    """Append the objects first seen in the detections ``fresh``."""
+    if not len(fresh):
+        return objects
+    d = scan.positions.shape[1]
+    if len(objects.ids) == 0:
+        objects = objects._replace(mean=np.zeros((0, 2, d)))
+    kinds = scan.kind_numbers(model.kinds)[fresh]
+    serial = serials + np.arange(len(fresh))
+    if scan.ids is not None:
+        ids = scan.ids[fresh]
+        existence = np.ones(len(fresh))
+    else:
+        ids = _free_names(objects.ids, serial)
+        existence = np.full(len(fresh), scan.birth / (scan.birth + scan.clutter) if scan.birth > 0 else 0.0)
+    speed = np.array([motion.speed for motion in model.objects.values()])[kinds]
+    mean = np.stack([scan.positions[fresh], np.zeros((len(fresh), d))], axis=1)
+    cov = np.column_stack([scan.sd[fresh] ** 2, np.zeros(len(fresh)), speed**2])
+    old = objects.ids if len(objects.ids) else ids[:0]  # so that an empty scene takes the type of the first ids
+    return Objects(
+        np.concatenate([old, ids]),
+        np.concatenate([objects.kinds, kinds]),
+        np.concatenate([objects.serial, serial]),
+        np.concatenate([objects.mean, mean]),
+        np.concatenate([objects.cov, cov]),
+        np.concatenate([objects.existence, existence]),
+        np.concatenate([objects.unseen, np.zeros(len(fresh))]),
+    )
+
+
+def _free_names(taken: NDArray, serial: Ints) -> NDArray:
+    if taken.dtype.kind == "U" and len(taken):
+        return np.array([f"?{s}" for s in serial])
+    first = max(int(taken.max()) + 1 if len(taken) else 0, int(serial[0]))
+    return first + np.arange(len(serial))
+
+
+def exist(existence: Floats, seen: NDArray[np.bool_], chance: Floats) -> Floats:
+    """Existence after a scan: a miss tells against it as far as a detection was to be expected."""
+    missed = existence * (1.0 - chance)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        after = np.where(missed + 1.0 - existence > 0.0, missed / (missed + 1.0 - existence), 1.0)
+    return np.where(seen, 1.0, after)
+
+
+def motions(model: RelationalModel, kinds: Ints, dt: float) -> Floats:
+    """``(n, 5)`` motion of each object on its own."""
+    q = diffusions(model)
+    return np.array([row(0.0, x * x, dt) for x in q]).reshape(-1, 5)[kinds]
+
+
+def diffusions(model: RelationalModel) -> list[float]:
+    """q of each kind; 0 where the motion is a sampler."""
+    return [m.q if isinstance(m, ConstantVelocity) else 0.0 for m in model.objects.values()]
+
+
+def relative_motions(model: RelationalModel, relation: Relation, dt: float) -> Floats:
+    """``(2, 5)`` motion of the difference of two objects, unrelated and related."""
+    q = [model.objects[kind] for kind in relation.pair]
+    apart = sum(m.q**2 for m in q if isinstance(m, ConstantVelocity))
+    alone = row(0.0, apart, dt)
+    how = relation.couples
+    return np.array([alone, alone if how is None else row(how.k, how.noise**2, dt)])
+
+
+def candidates(positions: Floats, gate: float) -> Ints:
+    """``(P, 2)`` pairs of objects within the gate, the first the smaller place."""
+    if len(positions) < 2:
+        return np.zeros((0, 2), dtype=np.int64)
+    return KDTree(positions).query_pairs(gate, output_type="ndarray").astype(np.int64)
+
+
+def of_relation(near: Ints, relation: Relation, model: RelationalModel, kinds: Ints) -> tuple[Ints, Ints]:
+    """First and second objects of the pairs a relation is about, in the order (first, second)."""
+    ordered = near if relation.symmetric else np.concatenate([near, near[:, ::-1]])
+    if len(model.objects) > 1:
+        a, b = (model.kinds.index(kind) for kind in relation.pair)
+        ordered = ordered[(kinds[ordered[:, 0]] == a) & (kinds[ordered[:, 1]] == b)]
+    ordered = ordered[np.lexsort((ordered[:, 1], ordered[:, 0]))] if len(ordered) else ordered
+    return np.ascontiguousarray(ordered[:, 0]), np.ascontiguousarray(ordered[:, 1])
+
+
+def refresh(
+    pairs: Pairs, relation: Relation, s: Settings, objects: Objects, place: Ints, near: Ints, particles: int = 0
+) -> tuple[Pairs, NDArray[np.bool_]]:
+    """Pairs let go and taken up; the new ones have their prior.
+
+    Args:
+        place: ``(n_before,)`` new place of each object, -1 for one let go.
+        near: ``(P, 2)`` pairs within the gate now.
+
+    Returns:
+        The pairs in order, and which of them are new.
+    """
+    model, n = s.model, len(objects.ids)
+    first, second = place[pairs.first], place[pairs.second]
+    stays = (first >= 0) & (second >= 0)
+    apart = ((objects.mean[second, 0] - objects.mean[first, 0]) ** 2).sum(axis=1) if n else np.zeros(len(first))
+    hidden = (objects.unseen[first] > 0) | (objects.unseen[second] > 0) if n else np.zeros(len(first), bool)
+    stays &= hidden | (apart <= (HYSTERESIS * s.gate) ** 2)
+    old = Pairs(first, second, pairs.p, pairs.mean, pairs.cov, pairs.bits, pairs.stages)
+    if not stays.all():
+        old = old.keep(stays)
+    a, b = of_relation(near, relation, model, objects.kinds)
+    held = old.first * n + old.second
+    wanted = a * n + b
+    at = np.searchsorted(held, wanted)
+    fresh = np.ones(len(wanted), dtype=bool)
+    inside = at < len(held)
+    fresh[inside] = held[at[inside]] != wanted[inside]
+    if not fresh.any():
+        return old, np.zeros(len(held), dtype=bool)
+    new = begun(a[fresh], b[fresh], relation, model, objects, s.gate, particles, collapsed=s.engine == "collapsed")
+    order = np.argsort(np.concatenate([held, wanted[fresh]]), kind="stable")
+    first, second = np.concatenate([old.first, new.first])[order], np.concatenate([old.second, new.second])[order]
+    mean, cov = np.concatenate([old.mean, new.mean])[order], np.concatenate([old.cov, new.cov])[order]
+    p = np.concatenate([old.p, new.p])[order]
+    bits = np.concatenate([old.bits, new.bits], axis=1)[:, order]
+    stages = tuple(np.concatenate([x, y])[order] for x, y in zip(old.stages, new.stages, strict=True))
+    return Pairs(first, second, p, mean, cov, bits, stages), order >= len(held)
+
+
+def begun(
+    first: Ints,
+    second: Ints,
+    relation: Relation,
+    model: RelationalModel,
+    objects: Objects,
+    gate: float,
+    particles: int,
+    collapsed: bool,
+) -> Pairs:
+    """New pairs: related with the probability ``prior``, if the predicate holds of them.
+
+    The velocities of two that start related differ as those of long related ones do.
+    """
+    count, d = len(first), objects.mean.shape[2]
+    mean, cov = np.zeros((count, 2, d)), np.zeros((count, 3))
+    kernel.difference(first, second, objects.mean, objects.cov, mean, cov)
+    p = np.full(count, relation.prior)
+    if relation.on_when is not None and relation.prior > 0.0:
+        p *= holds(relation, first, second, mean, cov, objects)
+    p = np.clip(p, kernel.FLOOR, 1.0 - kernel.FLOOR)
+    about = [a for a in model.activities if model.relations[model.relation_of(a)] is relation]
+    stages = tuple(begin(p) for _ in about)
+    bits = np.zeros((particles, count), dtype=bool)
+    if not collapsed:
+        return Pairs(first, second, p, np.zeros((count, 2, 2, d)), np.zeros((count, 2, 3)), bits, stages)
+    modes, spreads = np.stack([mean, mean], axis=1), np.stack([cov, cov], axis=1)
+    how = relation.couples
+    if how is not None and how.k > 0.0:  # the law of the difference in the long run, as if measured: 0 m/s with this sd
+        s = spreads[:, 1, 2] + how.noise**2 / (2.0 * how.k)
+        pull = spreads[:, 1, 1:3] / s[:, None]  # of position and velocity
+        modes[:, 1] -= pull[:, :, None] * mean[:, 1:2]
+        pv, vv = spreads[:, 1, 1].copy(), spreads[:, 1, 2].copy()
+        spreads[:, 1] -= np.column_stack([pull[:, 0] * pv, pull[:, 0] * vv, pull[:, 1] * vv])
+    return Pairs(first, second, p, modes, spreads, bits, stages)
+
+
+def holds(relation: Relation, first: Ints, second: Ints, mean: Floats, cov: Floats, objects: Objects) -> Floats:
+    """Probability of a relation's predicate for pairs with relative states ``mean (P, 2, d)``, ``cov (P, 3)``."""
+    assert relation.on_when is not None
+    ops, numbers = relation.on_when.arrays()
+    out = np.empty(len(first))
+    known = (np.maximum(objects.unseen[first], objects.unseen[second]) <= relation.seen_within).astype(np.float64)
+    state: list[Any] = [mean[:, 0], mean[:, 1], cov[:, 0], cov[:, 2]]
+    state += [objects.mean[first, 1], objects.mean[second, 1], objects.cov[first, 2], objects.cov[second, 2]]
+    truth(ops, numbers, *(np.ascontiguousarray(x) for x in state), known, out)
+    return out

@@ -1,0 +1,277 @@
+"""What objects are, how they move and what they can be to each other: the model of the relational particle filter.
+
+Manfredotti, Fleet, Hamilton and Zilles, "Relational Particle Filtering" (2011). Objects move given the relations of
+before; relations change given the relations of before and the objects of now (Eq. 1); sensors see objects only (Eq. 2).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from wakefold.predicates import Predicate, ahead, closing, near, same_velocity, seen, slow
+
+__all__ = [  # noqa: RUF022 (by subject)
+    "near",
+    "same_velocity",
+    "slow",
+    "ahead",
+    "closing",
+    "seen",
+    "Predicate",
+    "couple_velocity",
+    "follow_velocity",
+    "Coupling",
+    "PairEvidence",
+    "Relation",
+    "Activity",
+    "ConstantVelocity",
+    "Sampler",
+    "RelationalModel",
+]
+
+Floats = NDArray[np.float64]
+
+
+def _check(ok: bool, message: str) -> None:
+    if not ok:
+        raise ValueError(message)
+
+
+@dataclass(frozen=True)
+class ConstantVelocity:
+    """Motion with nearly constant velocity: drift dx = v dt, diffusion dv = q dW per axis.
+
+    Args:
+        q: diffusion of the velocity, m/s per square root of a second. After t seconds unseen the position has spread by
+            q t^1.5 / sqrt(3).
+        speed: standard deviation of the velocity of a new object per axis, m/s.
+    """
+
+    q: float
+    speed: float = 1.5
+
+    def __post_init__(self) -> None:
+        _check(0.0 < self.q < math.inf, f"ConstantVelocity: q must be a positive number, got {self.q}")
+        _check(0.0 < self.speed < math.inf, f"ConstantVelocity: speed must be a positive number, got {self.speed}")
+
+
+@dataclass(frozen=True)
+class Sampler:
+    """Motion known by its draws alone; for the engine "bootstrap".
+
+    Args:
+        move: ``move(position, velocity, dt, rng) -> position, velocity``, all ``(N, d)``; metres, m/s, seconds.
+            Couplings act on the result: they draw the velocities of related objects together.
+        speed: as for ``ConstantVelocity``.
+    """
+
+    move: Callable[[Floats, Floats, float, np.random.Generator], tuple[Floats, Floats]]
+    speed: float = 1.5
+
+    def __post_init__(self) -> None:
+        _check(callable(self.move), "Sampler: move must be a function (position, velocity, dt, rng)")
+        _check(0.0 < self.speed < math.inf, f"Sampler: speed must be a positive number, got {self.speed}")
+
+
+@dataclass(frozen=True)
+class Coupling:
+    """How a relation acts on motion; made by ``couple_velocity`` and ``follow_velocity``.
+
+    Attributes:
+        k: rate at which the difference of the velocities decays, 1/s.
+        noise: diffusion of that difference, m/s per square root of a second.
+        mutual: both give way (couple), or the first alone (follow).
+    """
+
+    k: float
+    noise: float
+    mutual: bool
+
+    def __post_init__(self) -> None:
+        _check(0.0 <= self.k < math.inf, f"coupling: k must be a number >= 0, got {self.k}")
+        _check(0.0 < self.noise < math.inf, f"coupling: noise must be a positive number, got {self.noise}")
+
+
+def couple_velocity(k: float, noise: float) -> Coupling:
+    """Related objects keep to one velocity: their difference w obeys dw = -k w dt + noise dW.
+
+    The centre of the group moves as the mean of independent members would. ``k`` in 1/s, ``noise`` in m/s^1.5.
+    """
+    return Coupling(float(k), float(noise), True)
+
+
+def follow_velocity(k: float, noise: float) -> Coupling:
+    """The first takes on the velocity of the second, which moves as it likes; units as in ``couple_velocity``."""
+    return Coupling(float(k), float(noise), False)
+
+
+@dataclass(frozen=True, eq=False)
+class PairEvidence:
+    """What related pairs look like: log-density ratio of pair features, related over unrelated, in nats per second.
+
+    A factor of the motion model (an interaction potential, as in Khan, Balch and Dellaert, PAMI 2005): positions are
+    likelier for a related pair where related pairs are found. Frames close in time tell the same thing twice, hence
+    nats per *second*. Features beyond the last edge use the last bin.
+
+    Attributes:
+        distance: ``(D + 1,)`` rising edges, metres.
+        relative_speed: ``(S + 1,)`` rising edges, m/s.
+        speed: ``(V + 1,)`` rising edges of the mean of the two speeds, m/s.
+        log_ratio: ``(D, S, V)``, finite.
+    """
+
+    distance: Floats
+    relative_speed: Floats
+    speed: Floats
+    log_ratio: Floats
+
+    def __init__(self, distance: ArrayLike, relative_speed: ArrayLike, speed: ArrayLike, log_ratio: ArrayLike) -> None:
+        for name, values in (("distance", distance), ("relative_speed", relative_speed), ("speed", speed)):
+            edges = np.array(values, dtype=np.float64)
+            ok = edges.ndim == 1 and len(edges) >= 2 and bool(np.isfinite(edges).all() and (np.diff(edges) > 0).all())
+            _check(ok, f"PairEvidence: {name} must be rising finite edges of at least one bin")
+            object.__setattr__(self, name, edges)
+        table = np.ascontiguousarray(log_ratio, dtype=np.float64)
+        shape = (len(self.distance) - 1, len(self.relative_speed) - 1, len(self.speed) - 1)
+        _check(table.shape == shape, f"PairEvidence: log_ratio must have shape {shape}, got {table.shape}")
+        _check(bool(np.isfinite(table).all()), "PairEvidence: log_ratio must be finite")
+        object.__setattr__(self, "log_ratio", table)
+
+
+@dataclass(frozen=True)
+class Relation:
+    """A proposition about two objects that may come to hold and cease to.
+
+    While both are seen, it comes to hold at ``rate_on`` times the probability of ``on_when``, and ceases at
+    ``rate_off`` plus ``rate_break`` times the probability that ``on_when`` does not hold. While one of them is hidden
+    nothing is known about ``on_when``: the relation does not come to hold, and ceases at ``rate_hidden``. Rates are per
+    second.
+
+    Args:
+        name: of the relation.
+        pair: kinds of the two objects, of ``RelationalModel.objects``.
+        on_when: predicate about the two; None: it always holds.
+        rate_on, rate_off: see above.
+        rate_break: see above; ``rate_on`` by default.
+        rate_hidden: see above; ``rate_off`` by default. A relation that may break unseen has a larger one.
+        couples: how it acts on motion; None: not at all.
+        prior: probability that two objects that come within the gate (or of which one is new) are related already, if
+            ``on_when`` holds.
+        symmetric: whether it holds of (a, b) whenever of (b, a). An asymmetric one is kept for each order.
+        seen_within: objects seen at most this many seconds ago count as seen.
+        evidence: what related pairs look like.
+    """
+
+    name: str
+    pair: tuple[str, str]
+    on_when: Predicate | None = None
+    rate_on: float = 0.1
+    rate_off: float = 0.01
+    rate_break: float | None = None
+    rate_hidden: float | None = None
+    couples: Coupling | None = None
+    prior: float = 0.0
+    symmetric: bool | None = None
+    seen_within: float = 0.0
+    evidence: PairEvidence | None = None
+
+    def __post_init__(self) -> None:
+        where = f"relation {self.name!r}"
+        _check(isinstance(self.name, str) and bool(self.name), "Relation: name must be a text")
+        _check(len(self.pair) == 2, f"{where}: pair must be two kinds, got {self.pair!r}")
+        if self.on_when is not None and not isinstance(self.on_when, Predicate):
+            raise TypeError(f"{where}: on_when must be a predicate, got {self.on_when!r}")
+        for name, default in (("rate_break", self.rate_on), ("rate_hidden", self.rate_off)):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, default)
+        for name in ("rate_on", "rate_off", "rate_break", "rate_hidden", "seen_within"):
+            value = getattr(self, name)
+            _check(0.0 <= value < math.inf, f"{where}: {name} must be a number >= 0, got {value}")
+        _check(0.0 <= self.prior <= 1.0, f"{where}: prior must be a probability, got {self.prior}")
+        same = self.pair[0] == self.pair[1]
+        if self.symmetric is None:
+            object.__setattr__(self, "symmetric", same and (self.couples is None or self.couples.mutual))
+        _check(not self.symmetric or same, f"{where}: a symmetric relation needs two objects of one kind")
+        follows = self.couples is not None and not self.couples.mutual
+        _check(not (self.symmetric and follows), f"{where}: follow_velocity needs symmetric=False")
+
+
+@dataclass(frozen=True)
+class Activity:
+    """Something two objects do that a relation is part of: before it, during it (for a while), after it.
+
+    Args:
+        name: of the activity.
+        chain: phases in their order; one of them is the name of a relation, at most one precedes and one follows.
+        min_time: how long the relation must last, seconds, for the activity to have taken place.
+    """
+
+    name: str
+    chain: Sequence[str]
+    min_time: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "chain", tuple(self.chain))
+        _check(0.0 <= self.min_time < math.inf, f"activity {self.name!r}: min_time must be >= 0, got {self.min_time}")
+
+
+@dataclass(frozen=True)
+class RelationalModel:
+    """Kinds of objects, the relations they may have, and activities.
+
+    Args:
+        objects: motion of each kind.
+        relations: of distinct names.
+        activities: of distinct names.
+
+    Raises:
+        ValueError: a relation about an unknown kind, an activity without its relation, or a name that is there twice.
+    """
+
+    objects: Mapping[str, ConstantVelocity | Sampler]
+    relations: Sequence[Relation] = ()
+    activities: Sequence[Activity] = ()
+    _about: dict[str, int] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "objects", dict(self.objects))
+        object.__setattr__(self, "relations", tuple(self.relations))
+        object.__setattr__(self, "activities", tuple(self.activities))
+        _check(bool(self.objects), "RelationalModel: objects must name at least one kind")
+        for kind, motion in self.objects.items():
+            if not isinstance(motion, (ConstantVelocity, Sampler)):
+                raise TypeError(f"kind {kind!r}: motion must be ConstantVelocity or Sampler, got {motion!r}")
+        for things in (self.relations, self.activities):
+            names = [thing.name for thing in things]
+            for name in names:
+                _check(names.count(name) == 1, f"RelationalModel: {name!r} is there twice")
+        for relation in self.relations:
+            for kind in relation.pair:
+                _check(
+                    kind in self.objects, f"relation {relation.name!r} is about {kind!r}, which is no kind of object"
+                )
+        object.__setattr__(self, "_about", {a.name: self._place(a) for a in self.activities})
+
+    def _place(self, activity: Activity) -> int:
+        """Index of the relation an activity is about, checked."""
+        known = [r.name for r in self.relations]
+        inside = [i for i, phase in enumerate(activity.chain) if phase in known]
+        where = f"activity {activity.name!r}"
+        _check(len(inside) == 1, f"{where}: its chain must hold the name of one relation, got {activity.chain}")
+        at = inside[0]
+        _check(at <= 1 and len(activity.chain) - at <= 2, f"{where}: at most one phase before and after {known}")
+        return known.index(activity.chain[at])
+
+    def relation_of(self, activity: Activity) -> int:
+        """Index of the relation in the chain of an activity."""
+        return self._about[activity.name]
+
+    @property
+    def kinds(self) -> list[str]:
+        """Names of the kinds of objects, in the order given."""
+        return list(self.objects)
