@@ -2,10 +2,10 @@
 
 import math
 
+import naive
 import numpy as np
 import pytest
 
-import naive
 import wakefold as wf
 from wakefold.relations import couple_velocity, follow_velocity, near, same_velocity, slow
 
@@ -90,7 +90,7 @@ def test_the_relation_of_a_pair_is_that_of_enumeration(engine, particles, within
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_the_order_of_detections_does_not_matter(engine):
-    fixes = np.concatenate([walkers(steps=6), walkers(seed=1, steps=6, together=False) + [0, 2.0]], axis=1)
+    fixes = np.concatenate([walkers(steps=6), walkers(seed=1, steps=6, together=False) + np.array([0, 2.0])], axis=1)
     f = wf.RelationalFilter(pair_model(on_when=near(2.0)), engine, particles=50)
     one = follow(f, fixes, ids=[3, 1, 4, 2])
     two = follow(f, fixes[:, [2, 0, 3, 1]], ids=[4, 3, 2, 1])
