@@ -262,10 +262,10 @@ class ParticleFilter:
         parts = dynamics.substeps(dt)
         return NOISES[dynamics.noise], dynamics.scale, parts, dt / max(parts, 1)
 
-    def _roll(self, belief: Belief, purpose: int, points: Floats, classes: Ints, dt: float) -> None:
-        """Move particles under their own classes, in place, with the noise of the belief's next step."""
+    def _roll(self, belief: Belief, purpose: int, points: Floats, classes: Ints, dt: float, begin: int = 0) -> None:
+        """Move particles under their classes, in place, from sub-step ``begin`` on, by the noise of the next step."""
         stream = (belief.key, belief.step + 1, purpose)
-        motion.roll(points, classes, *stream, *self._parts(dt), *self.model.dynamics.ground)
+        motion.roll(points, classes, *stream, *self._parts(dt), begin, *self.model.dynamics.ground)
 
     # Step 4: a fix, and what to do when every weight is zero
 
@@ -309,7 +309,8 @@ class ParticleFilter:
         tracks = self.model.tracks
         owner = np.repeat(np.arange(len(tracks)), tracks.lengths)
         log_g = np.empty(len(owner))
-        kernel.log_likelihood(tracks.points, *self._fix(fix)[:-1], log_g)
+        writable = tracks.points.copy()  # those of a model are not: the kernel would be compiled once more
+        kernel.log_likelihood(writable, *self._fix(fix)[:-1], log_g)
         log_weights = log_g + log_mass[owner]
         if log_weights.max() == -math.inf:  # too many sd away for the arithmetic: the nearest points, all alike
             away = np.abs(tracks.points - fix.on_plane(tracks.projection, tracks.dim)).max(axis=1)

@@ -153,8 +153,11 @@ class _Sets:
         """Move the base particles in place and the copies, each set under the dynamics of its own class."""
         f, stream = self.filter, (belief.key, belief.step + 1, NOISE, COPIES)
         tree = (self.leaf_of, self.nodes, self.parent, self.start, self.copy_of)
-        ground = f.model.dynamics.ground
-        self.copies = motion.roll_nested(points, classes, *tree, *stream, *f._parts(dt), *ground)
+        ground, parts = f.model.dynamics.ground, f._parts(dt)
+        self.copies = motion.roll_nested(points, *tree, *stream, *parts, *ground)
+        if parts[2] > 1:  # from the second sub-step on every copy is somewhere else
+            f._roll(belief, NOISE, points, classes, dt, begin=1)
+            f._roll(belief, COPIES, self.copies, np.repeat(self.nodes, np.diff(self.start)), dt, begin=1)
 
     def spread_fix(self, logs: Floats) -> None:
         """Algorithm 3, lines 16-19, after a fix has weighed the base set."""
@@ -175,5 +178,5 @@ class _Sets:
         """The sets as they are after the evidence; None when there are none but the base set."""
         if not len(self.copies):
             return None
-        logs = kernel.copy_log_weights(self.copied, self.copy_of, self.start, self.factors)
+        logs = self.copied[self.copy_of] + np.repeat(self.factors, np.diff(self.start))
         return Stack(self.nodes, self.start, self.copies, logs)

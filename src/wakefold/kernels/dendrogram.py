@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from wakefold.kernels.compile import kernel
+from wakefold.kernels.compile import inner, kernel
 
 
-@kernel
+@inner
 def find(root, x):
     """Representative of the set of x; halves the path to it."""
     while root[x] != x:

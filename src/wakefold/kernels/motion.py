@@ -87,17 +87,17 @@ def _move(points, classes, noise, h, lo, hi, field, reach2, floor2, dims):
 
 @kernel
 def roll(
-    points, classes, key, step, purpose, kind, scale, parts, h,
+    points, classes, key, step, purpose, kind, scale, parts, h, begin,
     lo, hi, data, leaf_at, boxes, level_at, reach2, floor2, dims,
 ):  # fmt: skip
-    """Move points (n, d) under their own classes through ``parts`` sub-steps of ``h`` seconds, in place.
+    """Move points (n, d) under their own classes through the sub-steps from ``begin`` of ``parts``, in place.
 
-    The noise is that of the stream (key, step, purpose). From ``lo`` on: ``Dynamics.ground``; a ``Field`` handed over
-    whole would cost 1 µs more.
+    A sub-step takes ``h`` seconds; the noise is that of the stream (key, step, purpose). From ``lo`` on:
+    ``Dynamics.ground`` (a ``Field`` handed over whole would cost 1 µs more).
     """
     noise = np.empty((parts, len(points), len(dims)))
     _noise(key, step, purpose, kind, scale, h, noise)
-    _move(points, classes, noise, h, lo, hi, Field(data, leaf_at, boxes, level_at), reach2, floor2, dims)
+    _move(points, classes, noise[begin:], h, lo, hi, Field(data, leaf_at, boxes, level_at), reach2, floor2, dims)
 
 
 @inner
@@ -191,10 +191,10 @@ def _move_nested(
 
 @kernel
 def roll_nested(
-    points, classes, leaf_of, nodes, parent, start, copy_of, key, step, purpose, copy_purpose, kind, scale, parts, h,
+    points, leaf_of, nodes, parent, start, copy_of, key, step, purpose, copy_purpose, kind, scale, parts, h,
     lo, hi, data, leaf_at, boxes, level_at, reach2, floor2, dims,
 ):  # fmt: skip
-    """``roll`` the base particles (N, d) under their leaves, in place, and their copies under every ancestor in use.
+    """The first sub-step of the base particles (N, d), in place, and of their copies under every ancestor in use.
 
     Returns:
         copies (S, d), grouped by node as ``start`` tells.
@@ -209,13 +209,7 @@ def roll_nested(
     noise, copy_noise = np.empty((parts, len(points), len(dims))), np.empty((parts, len(copies), len(dims)))
     _noise(key, step, purpose, kind, scale, h, noise)
     _noise(key, step, copy_purpose, kind, scale, h, copy_noise)
-    tree = (points, leaf_of, nodes, parent, start)
-    _move_nested(*tree, noise[0], copy_noise[0], h, copies, lo, hi, field, reach2, floor2, dims)
-    if parts > 1:  # from the second sub-step on every copy is somewhere else
-        copy_classes = np.empty(len(copy_of), dtype=np.int64)
-        for a in range(len(nodes)):
-            for s in range(start[a], start[a + 1]):
-                copy_classes[s] = nodes[a]
-        _move(points, classes, noise[1:], h, lo, hi, field, reach2, floor2, dims)
-        _move(copies, copy_classes, copy_noise[1:], h, lo, hi, field, reach2, floor2, dims)
+    _move_nested(
+        points, leaf_of, nodes, parent, start, noise[0], copy_noise[0], h, copies, lo, hi, field, reach2, floor2, dims
+    )
     return copies

@@ -172,16 +172,6 @@ def log_sum(log_weights):
     return peak + math.log(total)
 
 
-@kernel
-def copy_log_weights(log_weights, copy_of, start, factors):
-    """(S,) log-weights of the copies: those of the base particles they were made from times their node's factor."""
-    out = np.empty(len(copy_of))
-    for a in range(len(factors)):
-        for s in range(start[a], start[a + 1]):
-            out[s] = log_weights[copy_of[s]] + factors[a]
-    return out
-
-
 @inner
 def _multiply(log_weights, log_factors, keep):
     """log(sum of products / sum of weights); the weights become the products, normalised.
