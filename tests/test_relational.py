@@ -161,7 +161,7 @@ def test_what_does_not_fit_is_refused():
         (lambda: wf.Detections([[0.0, 0.0]], detect_prob=1.5), "detect_prob"),
         (lambda: f.step(scene, wf.Detections([[0.0, 0.0]], ids=["a"]), dt=1.0), "whole numbers before"),
         (lambda: f.step(scene, wf.Detections([[0.0, 0.0]], ids=[2], kinds="ship"), dt=1.0), "ship"),
-        (lambda: f.step(scene, wf.Detections([[0.0, 0.0, 0.0]], ids=[1]), dt=1.0), "coordinates"),
+        (lambda: wf.Detections([[0.0, 0.0, 0.0]], ids=[1]), "planar"),
         (lambda: f.step(scene, [], dt=-1.0), "backwards"),
         (lambda: f.step(scene, []), "dt or time"),
         (lambda: scene.relations("married"), "married"),

@@ -23,8 +23,10 @@ from wakefold.gating import (
     match,
     motions,
     objects_of,
+    program,
     refresh,
     relative_motions,
+    switches,
 )
 from wakefold.kernels import pairs as kernel
 from wakefold.relations import Relation
@@ -114,26 +116,18 @@ def _step_pairs(
     kernel.step(
         pairs.first, pairs.second, p, mean, cov, z, variance, seen, known, objects.mean, objects.cov,
         relative_motions(s.model, relation, dt), relation.couples is not None,
-        *constants(relation, dt), before, on, off,
+        switches(relation, dt), dt, *program(relation), *_evidence(relation), before, on, off,
     )  # fmt: skip
-    about = [a for a in s.model.activities if s.model.relations[s.model.relation_of(a)] is relation]
+    about = s.model.activities_of(relation)
     stages = tuple(advance(x, before, on, off, dt, a) for x, a in zip(pairs.stages, about, strict=True))
     return Pairs(pairs.first, pairs.second, p, mean, cov, pairs.bits, stages)
 
 
-def constants(relation: Relation, dt: float) -> tuple:
-    """What the kernels read of a relation: rates, dt, predicate, evidence."""
-    assert relation.rate_break is not None
-    assert relation.rate_hidden is not None
-    rates = np.array([relation.rate_on, relation.rate_off, relation.rate_break, relation.rate_hidden])
-    ops, numbers = (np.zeros(0, np.int64), np.zeros((0, 2)))
-    if relation.on_when is not None:
-        ops, numbers = relation.on_when.arrays()
+def _evidence(relation: Relation) -> tuple[Floats, Floats, Floats, Floats]:
     e = relation.evidence
-    table = (
-        (NONE, NONE, NONE, np.zeros((0, 0, 0))) if e is None else (e.distance, e.relative_speed, e.speed, e.log_ratio)
-    )
-    return rates, float(dt), ops, numbers, *table
+    if e is None:
+        return NONE, NONE, NONE, np.zeros((0, 0, 0))
+    return e.distance, e.relative_speed, e.speed, e.log_ratio
 
 
 def _with_company(s: Settings, pairs: list[Pairs], objects: Objects) -> tuple[Floats, Floats]:

@@ -16,13 +16,13 @@ class Detections:
     """One scan of a sensor.
 
     Args:
-        positions: ``(m, d)`` metres; m may be 0 (an empty scan: whoever could have been seen was missed).
+        positions: ``(m, 2)`` metres in the plane; m may be 0 (an empty scan: whoever could have been seen was missed).
         sd: standard deviation of a position per axis, metres; one number, or ``(m,)``.
         ids: names of the objects, whole numbers or texts, each at most once; None where the sensor cannot tell.
         kinds: kind of each object, of the model's; one for all, or ``(m,)``. None: the model's first kind.
-        detect_prob: probability that an object is detected; a number, or a function of positions ``(n, d)`` that gives
+        detect_prob: probability that an object is detected; a number, or a function of positions ``(n, 2)`` that gives
             ``(n,)``. A blind region has 0.
-        clutter: expected number of false detections per square metre (d = 2); only for detections without ids.
+        clutter: expected number of false detections per square metre; only for detections without ids.
         birth: expected number of new objects per square metre; only for detections without ids.
 
     Raises:
@@ -44,9 +44,9 @@ class Detections:
     ) -> None:
         points = np.array(positions, dtype=np.float64)
         if points.size == 0:
-            points = points.reshape(0, points.shape[1] if points.ndim == 2 and points.shape[1] else 2)
-        if points.ndim != 2 or not 1 <= points.shape[1] <= 3:
-            raise ValueError(f"Detections positions must have shape (m, d) with d 1 to 3, got {points.shape}")
+            points = points.reshape(0, 2)
+        if points.ndim != 2 or points.shape[1] != 2:
+            raise ValueError(f"Detections positions must be planar, of shape (m, 2), got {points.shape}")
         if not np.isfinite(points).all():
             row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
             raise ValueError(f"Detections positions must be finite, row {row} is {points[row].tolist()}")
@@ -84,7 +84,7 @@ class Detections:
         return f"Detections({len(self)} {'without ids' if self.ids is None else 'with ids'})"
 
     def chance(self, positions: Floats) -> Floats:
-        """``(n,)`` probability that objects at ``positions (n, d)`` are detected.
+        """``(n,)`` probability that objects at ``positions (n, 2)`` are detected.
 
         Raises:
             ValueError: ``detect_prob`` gives something that is no probability.

@@ -155,6 +155,32 @@ def relative_motions(model: RelationalModel, relation: Relation, dt: float) -> F
     return np.array([alone, alone if how is None else row(how.k, how.noise**2, dt)])
 
 
+def switches(relation: Relation, dt: float) -> Floats:
+    """``(3, 2)`` chances of switching on and off within ``dt`` where the predicate holds, where not, where unknown.
+
+    Where the truth of the predicate is itself uncertain the expected chance is between the first two.
+    """
+    assert relation.rate_break is not None
+    assert relation.rate_hidden is not None
+    rates = np.array(
+        [
+            [relation.rate_on, relation.rate_off],
+            [0.0, relation.rate_off + relation.rate_break],
+            [0.0, relation.rate_hidden],
+        ]
+    )
+    total = rates.sum(axis=1, keepdims=True)
+    change = np.where(total > 0.0, -np.expm1(-total * dt), 0.0)
+    return np.divide(rates * change, total, out=np.zeros((3, 2)), where=total > 0.0)
+
+
+def program(relation: Relation) -> tuple[Ints, Floats]:
+    """The predicate of a relation as kernels read it; empty where it always holds."""
+    if relation.on_when is None:
+        return np.zeros(0, dtype=np.int64), np.zeros((0, 2))
+    return relation.on_when.arrays()
+
+
 def candidates(positions: Floats, gate: float) -> Ints:
     """``(P, 2)`` pairs of objects within the gate, the first the smaller place."""
     if len(positions) < 2:
@@ -162,14 +188,13 @@ def candidates(positions: Floats, gate: float) -> Ints:
     return KDTree(positions).query_pairs(gate, output_type="ndarray").astype(np.int64)
 
 
-def of_relation(near: Ints, relation: Relation, model: RelationalModel, kinds: Ints) -> tuple[Ints, Ints]:
-    """First and second objects of the pairs a relation is about, in the order (first, second)."""
+def of_relation(near: Ints, relation: Relation, model: RelationalModel, kinds: Ints) -> Ints:
+    """The pairs a relation is about as first * n + second, rising."""
     ordered = near if relation.symmetric else np.concatenate([near, near[:, ::-1]])
     if len(model.objects) > 1:
         a, b = (model.kinds.index(kind) for kind in relation.pair)
         ordered = ordered[(kinds[ordered[:, 0]] == a) & (kinds[ordered[:, 1]] == b)]
-    ordered = ordered[np.lexsort((ordered[:, 1], ordered[:, 0]))] if len(ordered) else ordered
-    return np.ascontiguousarray(ordered[:, 0]), np.ascontiguousarray(ordered[:, 1])
+    return np.sort(ordered[:, 0] * len(kinds) + ordered[:, 1])
 
 
 def refresh(
@@ -184,44 +209,45 @@ def refresh(
     Returns:
         The pairs in order, and which of them are new.
     """
-    model, n = s.model, len(objects.ids)
+    n = len(objects.ids)
     first, second = place[pairs.first], place[pairs.second]
     stays = (first >= 0) & (second >= 0)
     apart = ((objects.mean[second, 0] - objects.mean[first, 0]) ** 2).sum(axis=1) if n else np.zeros(len(first))
     hidden = (objects.unseen[first] > 0) | (objects.unseen[second] > 0) if n else np.zeros(len(first), bool)
     stays &= hidden | (apart <= (HYSTERESIS * s.gate) ** 2)
-    old = Pairs(first, second, pairs.p, pairs.mean, pairs.cov, pairs.bits, pairs.stages)
-    if not stays.all():
-        old = old.keep(stays)
-    a, b = of_relation(near, relation, model, objects.kinds)
-    held = old.first * n + old.second
-    wanted = a * n + b
+    kept = np.flatnonzero(stays)
+    held = first[kept] * n + second[kept]  # rising, as objects keep their order
+    wanted = of_relation(near, relation, s.model, objects.kinds)
     at = np.searchsorted(held, wanted)
-    fresh = np.ones(len(wanted), dtype=bool)
-    inside = at < len(held)
-    fresh[inside] = held[at[inside]] != wanted[inside]
-    if not fresh.any():
-        return old, np.zeros(len(held), dtype=bool)
-    new = begun(a[fresh], b[fresh], relation, model, objects, s.gate, particles, collapsed=s.engine == "collapsed")
-    order = np.argsort(np.concatenate([held, wanted[fresh]]), kind="stable")
-    first, second = np.concatenate([old.first, new.first])[order], np.concatenate([old.second, new.second])[order]
-    mean, cov = np.concatenate([old.mean, new.mean])[order], np.concatenate([old.cov, new.cov])[order]
-    p = np.concatenate([old.p, new.p])[order]
-    bits = np.concatenate([old.bits, new.bits], axis=1)[:, order]
-    stages = tuple(np.concatenate([x, y])[order] for x, y in zip(old.stages, new.stages, strict=True))
-    return Pairs(first, second, p, mean, cov, bits, stages), order >= len(held)
+    fresh = wanted[held[np.minimum(at, len(held) - 1)] != wanted] if len(held) else wanted
+    if not len(fresh):
+        if len(kept) == len(stays):
+            return pairs._replace(first=first, second=second), np.zeros(len(kept), dtype=bool)
+        return pairs._replace(first=first, second=second).keep(kept), np.zeros(len(kept), dtype=bool)
+    new = begun(fresh // n, fresh % n, relation, s, objects, particles)
+    old_at = np.arange(len(kept)) + np.searchsorted(fresh, held)
+    new_at = np.arange(len(fresh)) + np.searchsorted(held, fresh)
+
+    def merge(old: NDArray, added: NDArray) -> NDArray:
+        out = np.empty((len(held) + len(fresh), *old.shape[1:]), dtype=old.dtype)
+        out[old_at], out[new_at] = old[kept], added
+        return out
+
+    merged = Pairs(
+        merge(first, new.first),
+        merge(second, new.second),
+        merge(pairs.p, new.p),
+        merge(pairs.mean, new.mean),
+        merge(pairs.cov, new.cov),
+        np.ascontiguousarray(merge(pairs.bits.T, new.bits.T).T),
+        tuple(merge(x, y) for x, y in zip(pairs.stages, new.stages, strict=True)),
+    )
+    is_new = np.zeros(len(merged.p), dtype=bool)
+    is_new[new_at] = True
+    return merged, is_new
 
 
-def begun(
-    first: Ints,
-    second: Ints,
-    relation: Relation,
-    model: RelationalModel,
-    objects: Objects,
-    gate: float,
-    particles: int,
-    collapsed: bool,
-) -> Pairs:
+def begun(first: Ints, second: Ints, relation: Relation, s: Settings, objects: Objects, particles: int) -> Pairs:
     """New pairs: related with the probability ``prior``, if the predicate holds of them.
 
     The velocities of two that start related differ as those of long related ones do.
@@ -230,19 +256,19 @@ def begun(
     mean, cov = np.zeros((count, 2, d)), np.zeros((count, 3))
     kernel.difference(first, second, objects.mean, objects.cov, mean, cov)
     p = np.full(count, relation.prior)
-    if relation.on_when is not None and relation.prior > 0.0:
+    if relation.prior > 0.0:
         p *= holds(relation, first, second, mean, cov, objects)
     p = np.clip(p, kernel.FLOOR, 1.0 - kernel.FLOOR)
-    about = [a for a in model.activities if model.relations[model.relation_of(a)] is relation]
+    about = s.model.activities_of(relation)
     stages = tuple(begin(p) for _ in about)
     bits = np.zeros((particles, count), dtype=bool)
-    if not collapsed:
+    if s.engine != "collapsed":
         return Pairs(first, second, p, np.zeros((count, 2, 2, d)), np.zeros((count, 2, 3)), bits, stages)
     modes, spreads = np.stack([mean, mean], axis=1), np.stack([cov, cov], axis=1)
     how = relation.couples
     if how is not None and how.k > 0.0:  # the law of the difference in the long run, as if measured: 0 m/s with this sd
-        s = spreads[:, 1, 2] + how.noise**2 / (2.0 * how.k)
-        pull = spreads[:, 1, 1:3] / s[:, None]  # of position and velocity
+        total = spreads[:, 1, 2] + how.noise**2 / (2.0 * how.k)
+        pull = spreads[:, 1, 1:3] / total[:, None]  # of position and velocity
         modes[:, 1] -= pull[:, :, None] * mean[:, 1:2]
         pv, vv = spreads[:, 1, 1].copy(), spreads[:, 1, 2].copy()
         spreads[:, 1] -= np.column_stack([pull[:, 0] * pv, pull[:, 0] * vv, pull[:, 1] * vv])
@@ -251,11 +277,9 @@ def begun(
 
 def holds(relation: Relation, first: Ints, second: Ints, mean: Floats, cov: Floats, objects: Objects) -> Floats:
     """Probability of a relation's predicate for pairs with relative states ``mean (P, 2, d)``, ``cov (P, 3)``."""
-    assert relation.on_when is not None
-    ops, numbers = relation.on_when.arrays()
     out = np.empty(len(first))
-    known = (np.maximum(objects.unseen[first], objects.unseen[second]) <= relation.seen_within).astype(np.float64)
+    known = np.maximum(objects.unseen[first], objects.unseen[second]) <= relation.seen_within
     state: list[Any] = [mean[:, 0], mean[:, 1], cov[:, 0], cov[:, 2]]
     state += [objects.mean[first, 1], objects.mean[second, 1], objects.cov[first, 2], objects.cov[second, 2]]
-    truth(ops, numbers, *(np.ascontiguousarray(x) for x in state), known, out)
+    truth(*program(relation), *(np.ascontiguousarray(x) for x in state), known, out)
     return out

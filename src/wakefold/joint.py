@@ -16,12 +16,23 @@ from numpy.typing import NDArray
 from wakefold.activities import advance
 from wakefold.association import GATE, TINY
 from wakefold.blocks import blocks_of, draw, move, redraw, regroup, rows_of, summary
-from wakefold.collapsed import constants
 from wakefold.detections import Detections
-from wakefold.gating import GONE, Objects, Settings, candidates, enter, exist, match, objects_of, refresh
+from wakefold.gating import (
+    GONE,
+    Objects,
+    Settings,
+    candidates,
+    enter,
+    exist,
+    match,
+    objects_of,
+    program,
+    refresh,
+    switches,
+)
 from wakefold.kernels import joint as kernel
 from wakefold.kernels.pairs import log_ratios
-from wakefold.kernels.predicates import switches
+from wakefold.kernels.predicates import truth
 from wakefold.relations import Relation
 from wakefold.scene import Pairs, Particles, Scene
 
@@ -197,7 +208,7 @@ def _sample(particles: Particles, rng: np.random.Generator) -> None:
     particles.cov[:] = 0.0
 
 
-def _relative(particles: Particles, pairs: Pairs, objects: Objects, seen_within: float) -> tuple[Floats, ...]:
+def _relative(particles: Particles, pairs: Pairs, objects: Objects, seen_within: float) -> tuple[NDArray, ...]:
     """Features of M * P pairs as ``kernels.predicates`` takes them."""
     count, _, n, d = particles.mean.shape
     a, b = pairs.first, pairs.second
@@ -208,7 +219,7 @@ def _relative(particles: Particles, pairs: Pairs, objects: Objects, seen_within:
         return np.maximum(cov[:, i, i] + cov[:, j, j] - 2.0 * cov[:, i, j], 0.0).reshape(-1)
 
     known = np.maximum(objects.unseen[a], objects.unseen[b]) <= seen_within
-    known = np.broadcast_to(known, (count, len(a))).astype(np.float64).reshape(-1)
+    known = np.broadcast_to(known, (count, len(a))).reshape(-1)
     own = [np.maximum(cov[:, n + i, n + i], 0.0).reshape(-1) for i in (a, b)]
     flat = [np.ascontiguousarray(y.reshape(-1, d)) for y in (u, w, v[:, a], v[:, b])]
     return flat[0], flat[1], spread(a, b), spread(n + a, n + b), flat[2], flat[3], own[0], own[1], known
@@ -247,10 +258,12 @@ def _switch(
     """Relations change given those of before and the objects of now (second factor of Eq. 1)."""
     count, many = p.bits.shape
     u = rng.random((count, many))
-    on, off = np.empty(count * many), np.empty(count * many)
-    rates, _, ops, numbers, *_ = constants(relation, dt)
-    switches(ops, numbers, *_relative(particles, p, objects, relation.seen_within), rates, float(dt), on, off)
-    on, off = on.reshape(count, many), off.reshape(count, many)
+    holds = np.empty(count * many)
+    features = _relative(particles, p, objects, relation.seen_within)
+    truth(*program(relation), *features, holds)
+    chances = switches(relation, dt)
+    holds, known = holds.reshape(count, many), features[-1].reshape(count, many)
+    on, off = (np.where(known, holds * c[0] + (1.0 - holds) * c[1], c[2]) for c in chances.T)
     weights = np.exp(particles.log_weights[:, p.first])
     before = (weights * p.bits).sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -259,7 +272,7 @@ def _switch(
     mean_on, mean_off = np.clip(mean_on, 0.0, 1.0), np.clip(mean_off, 0.0, 1.0)
     bits = np.where(p.bits, u >= off, u < on)
     after = np.clip((weights * np.where(p.bits, 1.0 - off, on)).sum(axis=0), 0.0, 1.0)
-    about = [a for a in s.model.activities if s.model.relations[s.model.relation_of(a)] is relation]
+    about = s.model.activities_of(relation)
     stages = tuple(advance(x, before, mean_on, mean_off, dt, a) for x, a in zip(p.stages, about, strict=True))
     return Pairs(p.first, p.second, after, p.mean, p.cov, bits, stages)
 

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from wakefold.kernels.codes import AHEAD, AND, CLOSING, NEAR, NOT, OR, SAME_VELOCITY, SEEN, SLOW
+from wakefold.kernels.codes import AHEAD, AND, CLOSING, NEAR, NOT, OR, SAME_VELOCITY, SEEN, SLOW, UNLESS
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,18 +28,19 @@ class Predicate:
     program: tuple[tuple[int, float, float], ...]
 
     def __and__(self, other: Predicate) -> Predicate:
-        return self._with(other, AND)
+        return self._with(other, AND, settled=0.0)
 
     def __or__(self, other: Predicate) -> Predicate:
-        return self._with(other, OR)
+        return self._with(other, OR, settled=1.0)
 
     def __invert__(self) -> Predicate:
         return Predicate((*self.program, (NOT, 0.0, 0.0)))
 
-    def _with(self, other: Predicate, op: int) -> Predicate:
+    def _with(self, other: Predicate, op: int, settled: float) -> Predicate:
         if not isinstance(other, Predicate):
             raise TypeError(f"a predicate combines with a predicate, got {other!r}")
-        return Predicate((*self.program, *other.program, (op, 0.0, 0.0)))
+        skip = (UNLESS, float(len(other.program) + 1), settled)  # the second is not asked where the first settles it
+        return Predicate((*self.program, skip, *other.program, (op, 0.0, 0.0)))
 
     def __bool__(self) -> bool:
         raise TypeError("combine predicates with & | ~, not with and, or, not")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -236,7 +236,6 @@ class RelationalModel:
     objects: Mapping[str, ConstantVelocity | Sampler]
     relations: Sequence[Relation] = ()
     activities: Sequence[Activity] = ()
-    _about: dict[str, int] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "objects", dict(self.objects))
@@ -255,21 +254,17 @@ class RelationalModel:
                 _check(
                     kind in self.objects, f"relation {relation.name!r} is about {kind!r}, which is no kind of object"
                 )
-        object.__setattr__(self, "_about", {a.name: self._place(a) for a in self.activities})
-
-    def _place(self, activity: Activity) -> int:
-        """Index of the relation an activity is about, checked."""
         known = [r.name for r in self.relations]
-        inside = [i for i, phase in enumerate(activity.chain) if phase in known]
-        where = f"activity {activity.name!r}"
-        _check(len(inside) == 1, f"{where}: its chain must hold the name of one relation, got {activity.chain}")
-        at = inside[0]
-        _check(at <= 1 and len(activity.chain) - at <= 2, f"{where}: at most one phase before and after {known}")
-        return known.index(activity.chain[at])
+        for activity in self.activities:
+            inside = [i for i, phase in enumerate(activity.chain) if phase in known]
+            where = f"activity {activity.name!r}: its chain {activity.chain}"
+            _check(len(inside) == 1, f"{where} must hold the name of one relation")
+            at = inside[0]
+            _check(at <= 1 and len(activity.chain) - at <= 2, f"{where} has more than one phase before or after it")
 
-    def relation_of(self, activity: Activity) -> int:
-        """Index of the relation in the chain of an activity."""
-        return self._about[activity.name]
+    def activities_of(self, relation: Relation) -> list[Activity]:
+        """The activities a relation is part of, in the order given."""
+        return [a for a in self.activities if relation.name in a.chain]
 
     @property
     def kinds(self) -> list[str]:

@@ -73,8 +73,7 @@ class ActivityTable(NamedTuple):
     phases: Floats
 
 
-@dataclass(frozen=True, eq=False)
-class Pairs:
+class Pairs(NamedTuple):
     """Beliefs about one relation, in order of the pair of objects.
 
     Attributes:
@@ -238,7 +237,7 @@ class Scene:
         which, first, second = [np.zeros(0, str)], [none], [none]
         p, phase, shares = [np.zeros(0)], [np.zeros(0, str)], [np.zeros((0, 3))]
         for place, relation in enumerate(self.model.relations):
-            about = [a for a in self.model.activities if self.model.relation_of(a) == place]
+            about = self.model.activities_of(relation)
             for activity, stages in zip(about, self.pairs[place].stages, strict=True):
                 if name not in (None, activity.name):
                     continue
@@ -286,8 +285,8 @@ class Scene:
             raise store.StoreError(f"{directory} was made with another relational model")
         try:
             pairs = []
-            for i in range(len(model.relations)):
-                about = sum(model.relation_of(a) == i for a in model.activities)
+            for i, relation in enumerate(model.relations):
+                about = len(model.activities_of(relation))
                 stages = tuple(arrays[f"pairs_{i}_stages_{j}"] for j in range(about))
                 pairs.append(Pairs(**{name: arrays[f"pairs_{i}_{name}"] for name in _PAIRS}, stages=stages))
             particles = None

@@ -90,17 +90,11 @@ class RelationalFilter:
         """
         count = 0 if self.settings.engine == "collapsed" else self.settings.particles
         none, whole = np.zeros(0), np.zeros(0, dtype=np.int64)
-        about = [
-            [a for a in self.model.activities if self.model.relation_of(a) == i]
-            for i in range(len(self.model.relations))
-        ]
+        unpaired = Pairs(whole, whole, none, np.zeros((0, 2, 2, 2)), np.zeros((0, 2, 3)), np.zeros((count, 0), bool))
         pairs = tuple(
-            Pairs(
-                whole, whole, none, np.zeros((0, 2, 2, 2)), np.zeros((0, 2, 3)), np.zeros((count, 0), bool),
-                tuple(begin(none) for _ in activities),
-            )
-            for activities in about
-        )  # fmt: skip
+            unpaired._replace(stages=tuple(begin(none) for _ in self.model.activities_of(r)))
+            for r in self.model.relations
+        )
         particles = None
         if count:
             particles = Particles(np.zeros((count, 2, 0, 2)), np.zeros((count, 0, 0)), np.zeros((count, 0)), whole)
@@ -157,8 +151,5 @@ class RelationalFilter:
     def _one(self, scene: Scene, scan: Detections | None, dt: float) -> Scene:
         if (scene.particles is None) != (self.settings.engine == "collapsed"):
             raise ValueError(f"the scene was made by another engine than {self.settings.engine!r}")
-        d = scene.mean.shape[2]
-        if scan is not None and len(scan) and len(scene) and scan.positions.shape[1] != d:
-            raise ValueError(f"Detections have {scan.positions.shape[1]} coordinates, the objects so far {d}")
         engine = collapsed if self.settings.engine == "collapsed" else joint
         return engine.step(self.settings, scene, scan, dt)

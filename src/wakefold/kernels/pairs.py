@@ -8,9 +8,8 @@ import math
 
 import numpy as np
 
-from wakefold.kernels.codes import FEATURES
 from wakefold.kernels.compile import inner, kernel
-from wakefold.kernels.predicates import evaluate, features, switch
+from wakefold.kernels.predicates import evaluate
 
 FLOOR = 1e-9  # a relation is never surer than this
 
@@ -92,61 +91,47 @@ def _bin(edges, value):
 
 
 @inner
-def _log_ratio(u, w, va, vb, distances, differences, speeds, table):
-    """What the looks of a pair say for its being related, nats per second."""
-    d2 = w2 = a2 = b2 = 0.0
-    for k in range(len(u)):
-        d2 += u[k] * u[k]
-        w2 += w[k] * w[k]
-        a2 += va[k] * va[k]
-        b2 += vb[k] * vb[k]
-    i, j = _bin(distances, math.sqrt(d2)), _bin(differences, math.sqrt(w2))
-    return table[i, j, _bin(speeds, 0.5 * (math.sqrt(a2) + math.sqrt(b2)))]
+def _log_ratio(ux, uy, wx, wy, ax, ay, bx, by, distances, differences, speeds, table):
+    """What the looks of a pair say for its being related, nats per second; arguments as in ``evaluate``."""
+    i = _bin(distances, math.sqrt(ux * ux + uy * uy))
+    j = _bin(differences, math.sqrt(wx * wx + wy * wy))
+    return table[i, j, _bin(speeds, 0.5 * (math.sqrt(ax * ax + ay * ay) + math.sqrt(bx * bx + by * by)))]
 
 
 @kernel
 def log_ratios(u, w, va, vb, distances, differences, speeds, table, out):
-    """``_log_ratio`` of n pairs, ``u, w, va, vb`` (n, d)."""
+    """``_log_ratio`` of n pairs, ``u, w, va, vb`` (n, 2)."""
     for i in range(len(u)):
-        out[i] = _log_ratio(u[i], w[i], va[i], vb[i], distances, differences, speeds, table)
+        out[i] = _log_ratio(
+            u[i, 0], u[i, 1], w[i, 0], w[i, 1], va[i, 0], va[i, 1], vb[i, 0], vb[i, 1],
+            distances, differences, speeds, table,
+        )  # fmt: skip
 
 
 @inner
-def _mix(mean, cov, to, other, share):
-    """Moments of (1 - share) of mode ``to`` and ``share`` of ``other``, into ``new_mean``, ``new_cov``."""
-    keep, spread_pp, spread_pv, spread_vv = 1.0 - share, 0.0, 0.0, 0.0
-    d = mean.shape[2]
-    for k in range(d):
-        x, v = mean[other, 0, k] - mean[to, 0, k], mean[other, 1, k] - mean[to, 1, k]
-        spread_pp += x * x
-        spread_pv += x * v
-        spread_vv += v * v
-    scale = share * keep / d
-    return (
-        keep * cov[to, 0] + share * cov[other, 0] + scale * spread_pp,
-        keep * cov[to, 1] + share * cov[other, 1] + scale * spread_pv,
-        keep * cov[to, 2] + share * cov[other, 2] + scale * spread_vv,
-    )
+def _exchange(x, c, to_off, to_on):
+    """Moments of both modes of a pair after a switch, in place.
 
-
-@inner
-def _exchange(mean, cov, to_off, to_on):
-    """Modes after a switch: ``to_off``, share of the new mode 0 that was in mode 1 before, ``to_on`` the other way."""
-    off = _mix(mean, cov, 0, 1, to_off)
-    on = _mix(mean, cov, 1, 0, to_on)
-    for i in range(mean.shape[1]):
-        for k in range(mean.shape[2]):
-            a, b = mean[0, i, k], mean[1, i, k]
-            mean[0, i, k] = a + to_off * (b - a)
-            mean[1, i, k] = b + to_on * (a - b)
-    for j in range(3):
-        cov[0, j], cov[1, j] = off[j], on[j]
+    Args:
+        x, c: (8,), (6,) state and covariance of mode 0, then of mode 1.
+        to_off: share of the new mode 0 that was in mode 1 before; to_on: the other way round.
+    """
+    px, py, vx, vy = x[4] - x[0], x[5] - x[1], x[6] - x[2], x[7] - x[3]
+    pp, pv, vv = 0.5 * (px * px + py * py), 0.5 * (px * vx + py * vy), 0.5 * (vx * vx + vy * vy)
+    s, t = to_off * (1.0 - to_off), to_on * (1.0 - to_on)
+    for j, spread in ((0, pp), (1, pv), (2, vv)):
+        off, on = c[j], c[3 + j]
+        c[j] = off + to_off * (on - off) + s * spread
+        c[3 + j] = on + to_on * (off - on) + t * spread
+    for j, away in ((0, px), (1, py), (2, vx), (3, vy)):
+        x[j] += to_off * away
+        x[4 + j] -= to_on * away
 
 
 @kernel
 def step(
     first, second, p, mean, cov, z, variance, seen, known, objects, spread,
-    motions, coupled, rates, dt, ops, numbers, distances, differences, speeds, table,
+    motions, coupled, chances, dt, ops, numbers, distances, differences, speeds, table,
     before, on, off,
 ):  # fmt: skip
     """Beliefs about P pairs after ``dt`` seconds and the detections of both objects, in place.
@@ -158,67 +143,95 @@ def step(
     Args:
         first, second: (P,) objects.
         p: (P,) probability of the relation.
-        mean, cov: (P, 2, 2, d), (P, 2, 3) relative state in both modes.
-        z, variance, seen: (n, d), (n,), (n,) detection of each object, its variance, whether there is one.
+        mean, cov: (P, 2, 2, 2), (P, 2, 3) relative state in both modes.
+        z, variance, seen: (n, 2), (n,), (n,) detection of each object, its variance, whether there is one.
         known: (n,) whether an object was seen lately.
-        objects, spread: (n, 2, d), (n, 3) the objects' own filters, after the detections.
+        objects, spread: (n, 2, 2), (n, 3) the objects' own filters, after the detections.
         motions: (2, 5) of the relative state in both modes.
         coupled: whether the motions differ.
-        rates, ops, numbers: of the relation; no operations: the predicate always holds.
+        chances: (3, 2) of switching on and off within ``dt`` where the predicate holds, where not, and where unknown.
+        ops, numbers: of the predicate; no operations: it always holds.
         distances, differences, speeds, table: of its evidence; an empty table: none.
         before, on, off: (P,) out: probability before the switch, and of switching on and off.
     """
-    d = z.shape[1]
-    away, f, stack = np.empty(d), np.empty(FEATURES), np.empty(max(len(ops), 1))
-    holds = np.ones(2)
+    stack = np.empty(max(len(ops), 1))
+    states, spreads = mean.reshape(-1, 8), cov.reshape(-1, 6)
+    asked, looks = len(ops) > 0, table.size > 0
     for i in range(len(first)):
         a, b = first[i], second[i]
-        m, c = mean[i], cov[i]
-        _predict(m[0], c[0], motions[0])
-        if coupled:
-            _predict(m[1], c[1], motions[1])
-        log_odds = 0.0
-        if seen[a] and seen[b]:
-            for k in range(d):
-                away[k] = z[b, k] - z[a, k]
-            square, s = _innovation(m[0], c[0], away, variance[a] + variance[b])
-            _update(m[0], c[0], away, s)
-            if coupled:
-                square_on, s_on = _innovation(m[1], c[1], away, variance[a] + variance[b])
-                _update(m[1], c[1], away, s_on)
-                log_odds = 0.5 * (square - square_on + d * math.log(s / s_on))
-            if table.size > 0:
-                log_odds += dt * _log_ratio(
-                    m[0, 0], m[0, 1], objects[a, 1], objects[b, 1], distances, differences, speeds, table
-                )
+        x, c = states[i], spreads[i]
+        for mode in range(2 if coupled else 1):
+            f01, f11 = motions[mode, 0], motions[mode, 1]
+            j, k = 4 * mode, 3 * mode
+            x[j] += f01 * x[j + 2]
+            x[j + 1] += f01 * x[j + 3]
+            x[j + 2] *= f11
+            x[j + 3] *= f11
+            pp, pv, vv = c[k], c[k + 1], c[k + 2]
+            c[k] = pp + f01 * (2.0 * pv + f01 * vv) + motions[mode, 2]
+            c[k + 1] = f11 * (pv + f01 * vv) + motions[mode, 3]
+            c[k + 2] = f11 * f11 * vv + motions[mode, 4]
         prior = p[i]
-        if log_odds != 0.0:
-            ratio = math.exp(min(max(log_odds, -50.0), 50.0))
+        ax, ay, bx, by = objects[a, 1, 0], objects[a, 1, 1], objects[b, 1, 0], objects[b, 1, 1]
+        if seen[a] and seen[b]:
+            zx, zy, r = z[b, 0] - z[a, 0], z[b, 1] - z[a, 1], variance[a] + variance[b]
+            log_odds, ratio, last = 0.0, 1.0, 1.0
+            for mode in range(2 if coupled else 1):
+                j, k = 4 * mode, 3 * mode
+                ex, ey, s = zx - x[j], zy - x[j + 1], 1.0 / (c[k] + r)
+                g0, g1 = c[k] * s, c[k + 1] * s
+                x[j] += g0 * ex
+                x[j + 1] += g0 * ey
+                x[j + 2] += g1 * ex
+                x[j + 3] += g1 * ey
+                c[k + 2] -= g1 * c[k + 1]
+                c[k] *= 1.0 - g0
+                c[k + 1] *= 1.0 - g0
+                log_odds = -log_odds - 0.5 * s * (ex * ex + ey * ey)  # of mode 1 less of mode 0, after both
+                ratio, last = s / last, s
+            if coupled:
+                if looks:
+                    log_odds += dt * _log_ratio(
+                        x[0], x[1], x[2], x[3], ax, ay, bx, by, distances, differences, speeds, table
+                    )
+                ratio *= math.exp(min(max(log_odds, -50.0), 50.0))
+            elif looks:
+                log_odds = dt * _log_ratio(
+                    x[0], x[1], x[2], x[3], ax, ay, bx, by, distances, differences, speeds, table
+                )
+                ratio = math.exp(min(max(log_odds, -50.0), 50.0))
+            else:
+                ratio = 1.0
             prior = prior * ratio / (prior * ratio + 1.0 - prior)
             prior = min(max(prior, FLOOR), 1.0 - FLOOR)
-        both = known[a] and known[b]
-        if len(ops) > 0 and both:
-            for mode in range(2 if coupled else 1):
+        if known[a] and known[b]:
+            yes = holds = 1.0  # whether the predicate holds, if unrelated and if related
+            if asked:
                 # a mode that is all but excluded switches as the other does
-                if coupled and (prior if mode == 1 else 1.0 - prior) < 1e-6:
-                    continue
-                features(
-                    m[mode, 0], m[mode, 1], c[mode, 0], c[mode, 2], objects[a, 1], objects[b, 1],
-                    spread[a, 2], spread[b, 2], 1.0, f,
-                )  # fmt: skip
-                holds[mode] = evaluate(ops, numbers, f, d, stack)
-            if not coupled or prior < 1e-6:
-                holds[1] = holds[0]
-            elif 1.0 - prior < 1e-6:
-                holds[0] = holds[1]
-        turn_on, _ = switch(holds[0], both, rates, dt)
-        _, turn_off = switch(holds[1], both, rates, dt)
+                if prior < 1.0 - 1e-6 or not coupled:
+                    yes = evaluate(
+                        ops, numbers, x[0], x[1], x[2], x[3], c[0], c[2], ax, ay, bx, by, spread[a, 2], spread[b, 2],
+                        True, stack,
+                    )  # fmt: skip
+                if coupled and prior > 1e-6:
+                    holds = evaluate(
+                        ops, numbers, x[4], x[5], x[6], x[7], c[3], c[5], ax, ay, bx, by, spread[a, 2], spread[b, 2],
+                        True, stack,
+                    )  # fmt: skip
+                    if prior >= 1.0 - 1e-6:
+                        yes = holds
+                else:
+                    holds = yes
+            turn_on = yes * chances[0, 0] + (1.0 - yes) * chances[1, 0]
+            turn_off = holds * chances[0, 1] + (1.0 - holds) * chances[1, 1]
+        else:
+            turn_on, turn_off = chances[2, 0], chances[2, 1]
         after = prior * (1.0 - turn_off) + (1.0 - prior) * turn_on
         after = min(max(after, FLOOR), 1.0 - FLOOR)
         if coupled:
             to_off, to_on = prior * turn_off / (1.0 - after), (1.0 - prior) * turn_on / after
             if to_off > 1e-9 or to_on > 1e-9:
-                _exchange(m, c, min(to_off, 1.0), min(to_on, 1.0))
+                _exchange(x, c, min(to_off, 1.0), min(to_on, 1.0))
         p[i] = after
         before[i], on[i], off[i] = prior, turn_on, turn_off
 
