@@ -19,7 +19,7 @@ from wakefold.tracks import Floats, Tracks
 Ints = NDArray[np.int64]
 Singles = NDArray[np.float32]
 
-LEAF = 8  # tracks in a box that is not divided further, at most
+LEAF = 8  # tracks in a box that is not divided further, at most; a vector holds one feature of all of them
 LANDMARKS = 8  # of 4, 8 and 16 landmarks with 4 or 8 directions, 8 with 4 cost least on crowds, routes and hubs
 MARGIN = 2.0**-21  # of the unit of features: more than rounding can lift a lower bound
 
@@ -98,6 +98,19 @@ def boxes_of(features: Singles) -> Boxes:
     low, high = np.empty((2, len(starts), features.shape[1]), dtype=np.float32)
     divide(features, order, starts, stops, low, high)
     return Boxes(order, features[order], levels[-1], low, high)
+
+
+def in_lanes(boxes: Boxes) -> Singles:
+    """Features of the tracks of each leaf side by side, as ``close_pairs`` takes them; inf where there is no track."""
+    from wakefold.kernels.simd import LANES
+
+    width = LANES["float32"]
+    lengths = np.diff(boxes.bounds)
+    assert lengths.max() <= width
+    out = np.full((len(lengths), boxes.features.shape[1], width), np.inf, dtype=np.float32)
+    leaf = np.repeat(np.arange(len(lengths)), lengths)
+    out[leaf, :, np.arange(len(leaf)) - boxes.bounds[leaf]] = boxes.features
+    return out.reshape(-1)
 
 
 def _directions(dim: int) -> Floats:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from wakefold import store
 from wakefold.dendrogram import largest_between, range_maxima
-from wakefold.features import MARGIN, Boxes, boxes_of, features_of, frame_of
+from wakefold.features import MARGIN, Boxes, boxes_of, features_of, frame_of, in_lanes
 from wakefold.parallel import Executor, Progress, Threads
 from wakefold.tracks import Floats, Tracks
 
@@ -136,7 +136,7 @@ def spanning_tree(
     executor = executor or Threads(threads)
     share = executor.share
     work = Work(tracks, executor, share(tracks.points), share(tracks.offsets))
-    shape = tuple(map(share, (boxes.features, boxes.bounds, boxes.low, boxes.high)))
+    shape = tuple(map(share, (boxes.features, in_lanes(boxes), boxes.bounds, boxes.low, boxes.high)))
     part, box_part = np.arange(count), np.empty(len(boxes.low), dtype=np.int64)
     pieces = max(16, count // TRACKS)
     neighbours = np.abs(np.diff(boxes.features, axis=0)).max(axis=1)
@@ -223,6 +223,7 @@ def _tiles(boxes: Boxes, pieces: int) -> Ints:
 def _search(
     tiles: Ints,
     features: Singles,
+    lanes: Singles,
     bounds: Ints,
     low: Singles,
     high: Singles,
@@ -238,7 +239,7 @@ def _search(
     stack = np.empty((len(tiles) + 4 * len(low).bit_length(), 2), dtype=np.int64)
     stack[: len(tiles)] = tiles
     a, b, square = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64), np.empty(ROOM, np.float32)
-    shape = features, part, bounds, low, high, box_part
+    shape = features, lanes, part, bounds, low, high, box_part
     top, n = close_pairs(*shape, dim, done, limit, stack, len(tiles), a, b, square)
     return stack[:top].copy(), a[:n].copy(), b[:n].copy(), square[:n].copy()
 

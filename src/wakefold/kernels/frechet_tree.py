@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+# The first parameter of an intrinsic is numba's typing context, which the caller does not give.
+# pyright: reportCallIssue=false
 import numpy as np
 
-from wakefold.kernels.compile import kernel, ordered_inner, ordered_kernel
+from wakefold.kernels.compile import inner, kernel, ordered_inner, ordered_kernel
+from wakefold.kernels.simd import fill, higher, load, magnitude, minus, plus, store, times, within
 
 
 @kernel
@@ -91,12 +94,31 @@ def gap_squared(low, high, n, m, d, limit):
     return max(worst, widest * widest)
 
 
+@inner
+def gaps_squared(features, a, lanes, leaf, d):
+    """``gap_squared`` of one track and the tracks of a leaf box, one in every lane."""
+    first = leaf * features.shape[1]
+    zero = fill(lanes, np.float32(0.0))
+    worst = zero
+    for end in range(0, 2 * d, d):
+        total = zero
+        for k in range(end, end + d):
+            g = minus(fill(lanes, features[a, k]), load(lanes, first + k))
+            total = plus(total, times(g, g))
+        worst = higher(worst, total)
+    widest = zero
+    for k in range(2 * d, features.shape[1]):
+        widest = higher(widest, magnitude(minus(fill(lanes, features[a, k]), load(lanes, first + k))))
+    return higher(worst, times(widest, widest))
+
+
 @ordered_kernel
-def close_pairs(features, part, bounds, low, high, box_part, d, done, limit, stack, top, first, second, bound):
+def close_pairs(features, lanes, part, bounds, low, high, box_part, d, done, limit, stack, top, first, second, bound):
     """Pairs of tracks of different parts with ``done <= bound < limit``, as many as there is room for.
 
     Args:
         features: ``(M, F)`` see ``wakefold.features``; tracks in box order.
+        lanes: the same, flat: for each leaf box and feature one vector with a track in every lane, inf where none is.
         part: ``(M,)`` labels.
         bounds, low, high, box_part: tracks of the leaf boxes, corners ``(B, F)`` and parts of all boxes.
         d: coordinates of a point.
@@ -110,6 +132,7 @@ def close_pairs(features, part, bounds, low, high, box_part, d, done, limit, sta
     leaves = len(bounds) - 1
     inner = leaves - 1
     count = 0
+    least, most, squares = fill(lanes, done), fill(lanes, limit), np.empty(64, np.float32)
     while top > 0:
         n, m = stack[top - 1]
         skip = box_part[n] >= 0 and box_part[n] == box_part[m]
@@ -121,12 +144,17 @@ def close_pairs(features, part, bounds, low, high, box_part, d, done, limit, sta
                 return top, count
             top -= 1
             for a in range(bounds[n - inner], bounds[n - inner + 1]):
-                for b in range(a + 1 if n == m else start, stop):
-                    if part[a] != part[b]:
-                        square = gap_squared(features, features, a, b, d, limit)
-                        if done <= square < limit:
-                            first[count], second[count], bound[count] = a, b, square
-                            count += 1
+                square = gaps_squared(features, a, lanes, m - inner, d)
+                close = within(square, least, most)
+                if n == m:  # the tracks after this one only
+                    close = close >> (a - start + 1) << (a - start + 1)
+                if close == 0:
+                    continue
+                store(squares, 0, square)
+                for lane in range(stop - start):
+                    if close >> lane & 1 and part[a] != part[start + lane]:
+                        first[count], second[count], bound[count] = a, start + lane, squares[lane]
+                        count += 1
         elif n == m:
             left, right = 2 * n + 1, 2 * n + 2
             stack[top - 1, 0], stack[top - 1, 1] = left, left

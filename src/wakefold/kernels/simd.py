@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic, models, register_model
 
 # One AVX2 register, or a pair of NEON registers. Fixed, not asked of the processor: the kernels compiled for one count
@@ -141,3 +142,46 @@ def _choose(comparison: str):
 
 lower = _choose("<")
 higher = _choose(">")
+
+
+def _combine(operation: str):
+    @intrinsic
+    def combine(typing, a, b):
+        def generate(context, builder, signature, arguments):
+            return getattr(builder, operation)(*arguments)
+
+        return a(a, b), generate
+
+    return combine
+
+
+plus = _combine("fadd")
+minus = _combine("fsub")
+times = _combine("fmul")
+
+
+@intrinsic
+def magnitude(typing, a):
+    """Absolute value in every lane."""
+
+    def generate(context, builder, signature, arguments):
+        vector = signature.args[0]
+        kind, name = arguments[0].type, f"llvm.fabs.v{vector.lanes}f{vector.dtype.bitwidth}"
+        return builder.call(
+            cgutils.get_or_insert_function(builder.module, ir.FunctionType(kind, [kind]), name), arguments
+        )
+
+    return a(a), generate
+
+
+@intrinsic
+def within(typing, a, low, high):
+    """Bit mask of the lanes with ``low <= a < high``, vectors; the first lane is the lowest bit."""
+
+    def generate(context, builder, signature, arguments):
+        x, low, high = arguments
+        inside = builder.and_(builder.fcmp_ordered(">=", x, low), builder.fcmp_ordered("<", x, high))
+        bits = ir.IntType(signature.args[0].lanes)
+        return builder.zext(builder.bitcast(inside, bits), ir.IntType(64))
+
+    return types.intp(a, low, high), generate
