@@ -175,6 +175,7 @@ class ParticleFilter:
         self.resampling: Resampling = resampling
         self.ess_threshold = ess_threshold
         self.seed = int(seed)
+        self._noise = NOISES[model.dynamics.noise], model.dynamics.scale
         self._changed = round(self.depletion * self.particles) if self.single else 0
         self._even = np.full(self.particles, -math.log(self.particles))  # log-weights of an unweighted set
 
@@ -258,9 +259,8 @@ class ParticleFilter:
 
     def _parts(self, dt: float) -> tuple[int, float, int, float]:
         """Kind and scale of the noise, number of sub-steps and their length, s, as the kernels take them."""
-        dynamics = self.model.dynamics
-        parts = dynamics.substeps(dt)
-        return NOISES[dynamics.noise], dynamics.scale, parts, dt / max(parts, 1)
+        parts = self.model.dynamics.substeps(dt)
+        return *self._noise, parts, dt / max(parts, 1)
 
     def _roll(self, belief: Belief, purpose: int, points: Floats, classes: Ints, dt: float, begin: int = 0) -> None:
         """Move particles under their classes, in place, from sub-step ``begin`` on, by the noise of the next step."""

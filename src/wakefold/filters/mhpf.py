@@ -178,5 +178,4 @@ class _Sets:
         """The sets as they are after the evidence; None when there are none but the base set."""
         if not len(self.copies):
             return None
-        logs = self.copied[self.copy_of] + np.repeat(self.factors, np.diff(self.start))
-        return Stack(self.nodes, self.start, self.copies, logs)
+        return Stack(self.nodes, self.start, self.copies, self.copy_of, self.copied, self.factors)

@@ -27,16 +27,16 @@ def _peak(values):
 @kernel
 def pick(log_weights, positions, out):
     """Index of the particle at each of the sorted ``positions`` in [0, 1) of the cumulated weights, into ``out``."""
-    peak = _peak(log_weights)
-    total = 0.0
+    peak, total = _peak(log_weights), 0.0
+    weights = np.empty(len(log_weights))
     for i in range(len(log_weights)):
-        total += math.exp(log_weights[i] - peak)
-    i, last = 0, len(log_weights) - 1
-    reached = math.exp(log_weights[0] - peak)
+        weights[i] = math.exp(log_weights[i] - peak)
+        total += weights[i]
+    i, last, reached = 0, len(log_weights) - 1, weights[0]
     for n in range(len(positions)):
         while reached <= positions[n] * total and i < last:  # i < last: rounding may leave the sum just short
             i += 1
-            reached += math.exp(log_weights[i] - peak)
+            reached += weights[i]
         out[n] = i
 
 
