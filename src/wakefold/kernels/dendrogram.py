@@ -26,8 +26,9 @@ def name_merges(edges, heights, winner, loser):
         winner, loser: ``(M - 1,)`` written: the cluster of ``loser`` becomes part of that of ``winner`` at this height.
             Each track but the first loses once.
     """
-    root = np.arange(len(edges) + 1)
-    start = 0
+    root, start = np.empty(len(edges) + 1, np.int64), 0
+    for track in range(len(root)):
+        root[track] = track
     for k in range(len(edges)):
         a, b = find(root, edges[k, 0]), find(root, edges[k, 1])
         root[max(a, b)] = min(a, b)
@@ -46,7 +47,9 @@ def chain(winner, loser, heights, order, gaps):
         winner, loser, heights: ``(M - 1,)`` see ``name_merges``.
         order, gaps: ``(M,)``, ``(M - 1,)`` written: the tracks, and the height that joins each to the one before.
     """
-    tail, after, above = np.arange(len(order)), np.full(len(order), -1), np.empty(len(order))
+    tail, after, above = np.empty(len(order), np.int64), np.empty(len(order), np.int64), np.empty(len(order))
+    for track in range(len(order)):
+        tail[track], after[track] = track, -1
     for k in range(len(winner)):
         last = tail[winner[k]]
         after[last], above[last], tail[winner[k]] = loser[k], heights[k], tail[loser[k]]

@@ -54,35 +54,38 @@ def drifts(points, classes, out, lo, hi, field, reach2, floor2, dims):
 
 
 @inner
-def _noise(key, step, purpose, kind, scale, h, out):
-    """Noise of every sub-step of ``h`` seconds into ``out`` (sub-steps, n, d), metres.
+def _noise(key, step, purpose, kind, scale, h, parts, size):
+    """``size`` numbers for each of the sub-steps of ``h`` seconds, one after the other, metres.
 
     Gaussian noise has sd scale * sqrt(h) in each sub-step; the papers' uniform noise comes once, in the last.
     """
+    out = np.empty(parts * size)
     if kind == GAUSSIAN:
         sd = scale * math.sqrt(h)
-        flat = out.reshape(-1)
-        normals(key, step, purpose, flat)
-        for i in range(len(flat)):
-            flat[i] *= sd
-        return
-    out[:] = 0.0
-    if kind == UNIFORM and len(out) > 0:
-        flat = out[-1].reshape(-1)
-        uniforms(key, step, purpose, flat)
-        for i in range(len(flat)):
-            flat[i] = scale * (2.0 * flat[i] - 1.0)
+        normals(key, step, purpose, out)
+        for i in range(len(out)):
+            out[i] *= sd
+        return out
+    for i in range(len(out)):
+        out[i] = 0.0
+    if kind == UNIFORM and parts > 0:
+        last = out[len(out) - size :]
+        uniforms(key, step, purpose, last)
+        for i in range(size):
+            last[i] = scale * (2.0 * last[i] - 1.0)
+    return out
 
 
 @inner
-def _move(points, classes, noise, h, lo, hi, field, reach2, floor2, dims):
-    """Move points (n, d) under their own classes through the sub-steps of ``noise`` (sub-steps, n, d), in place."""
-    drift = np.empty_like(points)
-    for part in range(len(noise)):
+def _move(points, classes, noise, h, begin, parts, lo, hi, field, reach2, floor2, dims):
+    """Move points (n, d) under their own classes through sub-steps ``begin`` to ``parts`` of the noise, in place."""
+    drift = np.empty((len(points), len(dims)))
+    for part in range(begin, parts):
         drifts(points, classes, drift, lo, hi, field, reach2, floor2, dims)
+        place = part * len(points) * len(dims)
         for i in range(len(points)):
             for k in range(len(dims)):
-                points[i, k] += h * drift[i, k] + noise[part, i, k]
+                points[i, k] += h * drift[i, k] + noise[place + i * len(dims) + k]
 
 
 @kernel
@@ -95,9 +98,9 @@ def roll(
     A sub-step takes ``h`` seconds; the noise is that of the stream (key, step, purpose). From ``lo`` on:
     ``Dynamics.ground`` (a ``Field`` handed over whole would cost 1 µs more).
     """
-    noise = np.empty((parts, len(points), len(dims)))
-    _noise(key, step, purpose, kind, scale, h, noise)
-    _move(points, classes, noise[begin:], h, lo, hi, Field(data, leaf_at, boxes, level_at), reach2, floor2, dims)
+    field = Field(data, leaf_at, boxes, level_at)
+    noise = _noise(key, step, purpose, kind, scale, h, parts, len(points) * len(dims))
+    _move(points, classes, noise, h, begin, parts, lo, hi, field, reach2, floor2, dims)
 
 
 @inner
@@ -152,11 +155,13 @@ def _chain(q, node, nodes, parent, lo, hi, rows, count, field, reach2, floor2, o
 def _move_nested(
     points, leaf_of, nodes, parent, start, noise, copy_noise, h, copies, lo, hi, field, reach2, floor2, dims
 ):
-    """One sub-step of ``roll_nested``, ``noise`` (N, d), ``copy_noise`` (S, d).
+    """One sub-step of ``roll_nested``; ``noise`` is N d numbers, ``copy_noise`` S d.
 
     The copies start where the base particle does and come to lie in ``copies`` (S, d).
     """
-    cursor = start[:-1].copy()
+    cursor = np.empty(len(nodes), dtype=np.int64)
+    for a in range(len(nodes)):
+        cursor[a] = start[a]
     drift = np.empty((len(nodes), len(dims)))  # under a particle's leaf and its ancestors, from the leaf outwards
     lists, side, count, listed = scratch(field), 0, 0, -1  # the rows near ``centre`` of the node ``listed``
     share2, wide2 = reach2 * SHARE**2, reach2 * (1.0 + SHARE) ** 2
@@ -179,13 +184,13 @@ def _move_nested(
                     centre[k] = q[k]
             _chain(q, leaf_of[i], nodes, parent, lo, hi, lists[side], count, field, reach2, floor2, drift, dims)
         for k in range(len(dims)):
-            points[i, k] += h * drift[0, k] + noise[i, k]
+            points[i, k] += h * drift[0, k] + noise[i * len(dims) + k]
         node, place = parent[leaf_of[i]], 1
         while node >= 0:
             s = cursor[node]
             cursor[node] += 1
             for k in range(len(dims)):
-                copies[s, k] = q[k] + (h * drift[place, k] + copy_noise[s, k])
+                copies[s, k] = q[k] + (h * drift[place, k] + copy_noise[s * len(dims) + k])
             node, place = parent[node], place + 1
 
 
@@ -206,10 +211,9 @@ def roll_nested(
             for k in range(len(dims)):
                 copies[s, k] = points[copy_of[s], k]
         return copies
-    noise, copy_noise = np.empty((parts, len(points), len(dims))), np.empty((parts, len(copies), len(dims)))
-    _noise(key, step, purpose, kind, scale, h, noise)
-    _noise(key, step, copy_purpose, kind, scale, h, copy_noise)
+    noise = _noise(key, step, purpose, kind, scale, h, parts, len(points) * len(dims))
+    copy_noise = _noise(key, step, copy_purpose, kind, scale, h, parts, len(copies) * len(dims))
     _move_nested(
-        points, leaf_of, nodes, parent, start, noise[0], copy_noise[0], h, copies, lo, hi, field, reach2, floor2, dims
+        points, leaf_of, nodes, parent, start, noise, copy_noise, h, copies, lo, hi, field, reach2, floor2, dims
     )
     return copies

@@ -163,16 +163,14 @@ def departures(points, velocities, leaf_of, lo, hi, field, reach2, floor2, dims)
     Returns:
         (n, d); NaN where the ball holds no point of another leaf.
     """
-    out, lists = np.empty_like(points), scratch(field)
+    out, lists = np.empty((len(points), len(dims))), scratch(field)
     begin = np.intp(0)  # see velocity
     for i in range(len(points)):
         leaf, q, sums = leaf_of[i], points[i], nothing(dims)
         for first, last in ((lo[i], leaf), (leaf + 1, hi[i])):
             side, count = near(q, field.leaf_at[first], field.leaf_at[last], field, reach2, lists, dims)
             sums = add_rows(q, lists[side], begin, count, field, reach2, floor2, sums, dims)
-        if mean_velocity(sums, out[i], dims):
-            for k in range(len(dims)):
-                out[i, k] = velocities[i, k] - out[i, k]
-        else:
-            out[i] = math.nan
+        known = mean_velocity(sums, out[i], dims)
+        for k in range(len(dims)):
+            out[i, k] = velocities[i, k] - out[i, k] if known else math.nan
     return out

@@ -91,7 +91,9 @@ def layout(classes, log_weights, up, size):
         nodes (A,) class ids in rising order; parent (A,) index into nodes or -1; leaf_of (N,) index into nodes;
         start (A + 1,) first copy of each node (leaves have none); copy_of (S,) particle of each copy; mass (A,).
     """
-    count = np.zeros(size, dtype=np.int64)
+    count = np.empty(size, dtype=np.int64)
+    for c in range(size):
+        count[c] = 0
     total = 0
     for i in range(len(classes)):
         c = classes[i]
@@ -105,20 +107,21 @@ def layout(classes, log_weights, up, size):
         if count[c] > 0:
             nodes[a], where[c] = c, a
             a += 1
-    parent = np.empty(total, dtype=np.int64)
-    start = np.zeros(total + 1, dtype=np.int64)
+    parent, start = np.empty(total, dtype=np.int64), np.empty(total + 1, dtype=np.int64)
+    start[0] = 0
     for a in range(total):
         above = up[nodes[a]]
         parent[a] = where[above] if above >= 0 else -1
+        start[a + 1] = count[nodes[a]]
     leaf_of = np.empty(len(classes), dtype=np.int64)
-    is_leaf = np.zeros(total, dtype=np.bool_)
     for i in range(len(classes)):
         leaf_of[i] = where[classes[i]]
-        is_leaf[leaf_of[i]] = True
+        start[leaf_of[i] + 1] = 0
+    cursor = np.empty(total, dtype=np.int64)
     for a in range(total):
-        start[a + 1] = start[a] + (0 if is_leaf[a] else count[nodes[a]])
+        start[a + 1] += start[a]
+        cursor[a] = start[a]
     copy_of = np.empty(start[total], dtype=np.int64)
-    cursor = start[:-1].copy()
     for i in range(len(classes)):
         a = parent[leaf_of[i]]
         while a >= 0:
@@ -225,7 +228,9 @@ def normalise(log_weights):
 @inner
 def _node_masses(log_weights, leaf_of, parent):
     """Mass of every node: leaves sum the weights of their particles, parents sum their children."""
-    mass = np.zeros(len(parent))
+    mass = np.empty(len(parent))
+    for a in range(len(parent)):
+        mass[a] = 0.0
     for i in range(len(log_weights)):
         mass[leaf_of[i]] += math.exp(log_weights[i])
     return _sum_up(mass, parent)
@@ -281,18 +286,20 @@ def spread_coarse(log_weights, leaf_of, parent, start, base_mass, prior, factors
         log(sum of products / sum of weights) over the observed sets; -inf (and nothing changed) when all are zero.
     """
     total = len(parent)
-    weight = np.zeros(total)  # of the observed sets, before the evidence
+    weight, new = np.empty(total), np.empty(total)  # weight of the observed sets, before the evidence; -1 of others
+    for a in range(total):
+        weight[a] = -1.0
+        new[a] = 0.0
+    for a in range(total):
+        if observed[a] >= 0:
+            weight[observed[a]] = 0.0
     for i in range(len(log_weights)):
         leaf = leaf_of[i]
         if observed[leaf] == leaf:
             weight[leaf] += math.exp(log_weights[i])
-    is_observed = np.zeros(total, dtype=np.bool_)
-    for a in range(total):
-        if observed[a] >= 0:
-            is_observed[observed[a]] = True
     before = after = 0.0
     for a in range(total):
-        if is_observed[a]:
+        if weight[a] >= 0.0:
             if start[a + 1] > start[a]:
                 weight[a] = base_mass[a] * math.exp(factors[a])
             before += weight[a]
@@ -300,7 +307,6 @@ def spread_coarse(log_weights, leaf_of, parent, start, base_mass, prior, factors
             after += weight[a]
     if not after > 0.0:
         return -np.inf
-    new = np.zeros(total)
     for a in range(total):
         o = observed[a]
         if o >= 0 and prior[o] > 0.0:
@@ -308,8 +314,8 @@ def spread_coarse(log_weights, leaf_of, parent, start, base_mass, prior, factors
     _sum_up(new, parent)
     for a in range(total):
         ratio = _log_ratio(new[a], prior[a])
-        update = log_g[a] - math.log(after) if is_observed[a] else ratio
-        if is_observed[a] and also_observed:
+        update = log_g[a] - math.log(after) if weight[a] >= 0.0 else ratio
+        if weight[a] >= 0.0 and also_observed:
             update += ratio
         prior[a] = new[a]
         factors[a] = factors[a] + update if start[a + 1] > start[a] else update
