@@ -151,7 +151,7 @@ def learn(
     pieces = pieces.resample(spacing=step)
     for note in pieces.notes:
         show(f"  {note}")
-    if len(pieces) > 5000:
+    if linkage is LinkageName.complete and len(pieces) > 5000:
         say(f"{len(pieces):,} tracks: their distances take {len(pieces) ** 2 * 8 / 2**30:.1f} GiB of memory and more")
     with progress("comparing tracks") as update:
         model = wf.learn(

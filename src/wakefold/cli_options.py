@@ -107,11 +107,15 @@ def stop(text: str | None) -> dict[str, Any]:
 
 def model_directory(path: Path) -> Path:
     """A directory that a model may be kept in: a new one, or a stored one that will be replaced."""
-    from wakefold.store import MANIFEST
+    from wakefold.store import MANIFEST, StoreError, check_target
 
     _outside_models("--output", path)
     if path.exists() and not (path / MANIFEST).is_file():
         wrong("--output", f"{path} exists and is no model")
+    try:
+        check_target(path, "model")
+    except StoreError as error:
+        wrong("--output", f"{error}")
     if over := next((folder for folder in path.parents if folder.exists() and not folder.is_dir()), None):
         wrong("--output", f"{over} is not a directory")
     return path

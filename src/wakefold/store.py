@@ -46,8 +46,7 @@ def save(directory: str | os.PathLike[str], arrays: Mapping[str, np.ndarray], me
         ValueError: a name, dtype or metadata that cannot be stored.
     """
     target = Path(directory)
-    if target.exists() or target.is_symlink():
-        _read_manifest(target, kind, any_version=True)  # never delete what is not ours
+    check_target(target, kind)
     target.parent.mkdir(parents=True, exist_ok=True)
     parts = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
     try:
@@ -68,6 +67,17 @@ def save(directory: str | os.PathLike[str], arrays: Mapping[str, np.ndarray], me
         _replace(parts, target)
     finally:
         shutil.rmtree(parts, ignore_errors=True)
+
+
+def check_target(directory: str | os.PathLike[str], kind: str) -> None:
+    """Refuse what ``save`` would: a directory that is there and is no store of this kind, which is never replaced.
+
+    Raises:
+        StoreError: the directory holds something else.
+    """
+    target = Path(directory)
+    if target.exists() or target.is_symlink():
+        _read_manifest(target, kind, any_version=True)
 
 
 def load(directory: str | os.PathLike[str], kind: str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
