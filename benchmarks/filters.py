@@ -106,8 +106,8 @@ class Times:
 class Run:
     """One filter along courses, a step at a time; and what its particles were like."""
 
-    def __init__(self, f: wf.MHPF | wf.BL1 | wf.BL2) -> None:
-        self.filter, self.times, self.recoveries = f, Times(), 0
+    def __init__(self, f: wf.MHPF | wf.BL1 | wf.BL2, sets: bool = False) -> None:
+        self.filter, self.times, self.recoveries, self.sets = f, Times(), 0, sets
         self.belief: Any = None
         self.shape: list[tuple[int, int]] = []  # different particles, different tracks
 
@@ -116,7 +116,14 @@ class Run:
 
     def step(self, way: Course, k: int) -> None:
         evidence, lost = [wf.Fix(way.fixes[k], sd=way.sd)], self.belief.recoveries
-        self.belief = self.times.add(lambda: self.filter.step(self.belief, evidence, dt=way.dt))
+
+        def both() -> Any:
+            after = self.filter.step(self.belief, evidence, dt=way.dt)
+            if self.sets:  # also where the particles of all coarse sets are
+                after.mean("stack")
+            return after
+
+        self.belief = self.times.add(both)
         self.recoveries += self.belief.recoveries - lost
         if k % 5 == 0:
             points, classes, _ = self.filter._open(self.belief)  # what the next step starts from
@@ -249,6 +256,8 @@ def main(quick: bool = False, directory: Path = DATA) -> None:
         tracks = [int(k) for k in rng.choice(long, 2 if quick else 25, replace=False)]
         courses = [course(model, k, sd, 30 if quick else 60, rng) for k in tracks]
         runs: dict[str, Any] = {name: Run(make(model)) for name, make in filters.items()}
+        for name in ("MHPF, 8 levels", "MHPF, all levels"):
+            runs[f"{name}, with the estimate of the stack"] = Run(filters[name](model), sets=True)
         if title == "Harbour" and find_spec("stonesoup"):
             runs["Stone Soup, particle predict + update"] = StoneSoup(100)
         follow(list(runs.values()), courses)

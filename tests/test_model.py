@@ -122,3 +122,14 @@ def test_single_points_can_be_learned_and_followed():
 def test_nothing_to_learn_from():
     with pytest.raises(ValueError, match="no tracks"):
         wf.Tracks.from_arrays([])
+
+
+def test_a_belief_that_was_pickled_has_its_coarse_sets(model):
+    import pickle
+
+    f = wf.MHPF(model, 50, seed=1)
+    belief = f.step(f.start(), [wf.Fix((1.0, 2.0), sd=5.0)], dt=3 * model.dynamics.interval)
+    again = pickle.loads(pickle.dumps(belief))
+    assert len(pickle.dumps(again)) < 200_000  # not the model that the sets are worked out from
+    assert np.array_equal(again.stack.points, belief.stack.points)
+    assert np.array_equal(again.mean("stack"), belief.mean("stack"))

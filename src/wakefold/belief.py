@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,23 +82,31 @@ class Stack:
     Attributes:
         nodes: ``(A,)`` class ids; children before parents, leaves first (a leaf's set is its share of the base set).
         start: ``(A + 1,)`` first copy of each node.
-        points: ``(S, d)`` positions of the copies.
         particle: ``(S,)`` base particle of each copy.
         copied: ``(N,)`` log-weights of the base particles when they were copied.
         factors: ``(A,)`` log-multiplier of each node's set since then.
+        where: tells the positions of the copies; ``points`` asks it once.
     """
 
     nodes: Ints
     start: Ints
-    points: Floats
     particle: Ints
     copied: Floats
     factors: Floats
+    where: Callable[[], Floats]
+
+    @cached_property
+    def points(self) -> Floats:
+        """``(S, d)`` positions of the copies: worked out now, as they cost far more than the rest of a step."""
+        return self.where()
 
     @cached_property
     def log_weights(self) -> Floats:
-        """``(S,)`` log-weights of the copies: few who step ask for them, and they cost as much as the evidence."""
+        """``(S,)`` log-weights of the copies."""
         return self.copied[self.particle] + np.repeat(self.factors, np.diff(self.start))
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "points": self.points, "where": None}  # not the model it is worked out from
 
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
@@ -294,7 +302,9 @@ class Belief:
         try:
             stack = None
             if "nodes" in arrays:
-                stack = Stack(*(arrays[k] for k in ("nodes", "start", "copies", "copy_of", "copied", "factors")))
+                nodes, start, copies = arrays["nodes"], arrays["start"], arrays["copies"]
+                weights = arrays["copy_of"], arrays["copied"], arrays["factors"]
+                stack = Stack(nodes, start, *weights, partial(np.asarray, copies))
             evidence = meta["log_evidence"]
             return cls(
                 tree=tree,

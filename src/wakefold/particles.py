@@ -262,10 +262,10 @@ class ParticleFilter:
         parts = self.model.dynamics.substeps(dt)
         return *self._noise, parts, dt / max(parts, 1)
 
-    def _roll(self, belief: Belief, purpose: int, points: Floats, classes: Ints, dt: float, begin: int = 0) -> None:
-        """Move particles under their classes, in place, from sub-step ``begin`` on, by the noise of the next step."""
+    def _roll(self, belief: Belief, purpose: int, points: Floats, classes: Ints, dt: float) -> None:
+        """Move particles under their own classes, in place, by the noise of the belief's next step."""
         stream = (belief.key, belief.step + 1, purpose)
-        motion.roll(points, classes, *stream, *self._parts(dt), begin, *self.model.dynamics.ground)
+        motion.roll(points, classes, *stream, *self._parts(dt), 0, *self.model.dynamics.ground)
 
     # Step 4: a fix, and what to do when every weight is zero
 

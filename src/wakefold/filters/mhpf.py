@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -92,8 +92,8 @@ class MHPF(ParticleFilter):
         dt, now = elapsed(belief, dt, time)
         up = self._up(*(level for level, item in items if not isinstance(item, Fix)))
         points, classes, logs = self._open(belief)  # Algorithm 1, lines 12-13 of the step before
-        sets = _Sets(self, classes, up, logs)  # lines 3-6
-        sets.move(belief, points, classes, dt)  # lines 7-9
+        sets = _Sets(self, classes, up, logs, points.copy(), belief, dt)  # lines 3-9 for the coarse sets
+        self._roll(belief, NOISE, points, classes, dt)  # lines 7-9
         recoveries = 0
         for level, item in items:  # lines 10-11, Algorithm 3
             if isinstance(item, Fix):
@@ -102,7 +102,7 @@ class MHPF(ParticleFilter):
                     recoveries += 1
                     points, classes = self._recover_fix(belief, item, classes, logs)
                     logs = self._even.copy()
-                    sets = _Sets(self, classes, up, logs, points)
+                    sets = _Sets(self, classes, up, logs, points, belief)
                 else:
                     sets.spread_fix(logs)
             else:
@@ -111,7 +111,7 @@ class MHPF(ParticleFilter):
                     recoveries += 1
                     classes = self._recover_class(belief, item, level)
                     logs = self._even.copy()
-                    sets = _Sets(self, classes, up, logs, points)
+                    sets = _Sets(self, classes, up, logs, points, belief)
             total = None if total is None else total + gain
         kernel.normalise(logs)
         return Belief(
@@ -132,14 +132,17 @@ class MHPF(ParticleFilter):
 class _Sets:
     """The coarse particle sets of one step and the class masses P over the classes that hold particles.
 
-    Weights inside a coarse set only ever change together, so a set needs one log-factor, not one for each copy.
+    Weights inside a coarse set only ever change together, so a set needs one log-factor, not one for each copy. No
+    weight depends on where the copies are: they are moved when somebody asks where they are.
     """
 
-    def __init__(self, f: MHPF, classes: Ints, up: Ints, logs: Floats, points: Floats | None = None) -> None:
+    def __init__(
+        self, f: MHPF, classes: Ints, up: Ints, logs: Floats, points: Floats, belief: Belief, dt: float = 0.0
+    ) -> None:
         """Algorithm 2 upwards from the base set, and a copy of the base particles below each class in use.
 
         Args:
-            points: (N, d) positions of the copies, when they need not move any more.
+            points: (N, d) where the copies start, not to be changed any more; they will move for ``dt`` seconds.
         """
         self.filter = f
         made = kernel.layout(classes, logs, up, len(up))
@@ -147,17 +150,7 @@ class _Sets:
         self.mass = self.base_mass.copy()
         self.factors = np.zeros(len(self.nodes))
         self.copied = logs.copy()  # the weights that the copies were made with
-        self.copies = np.empty((0, 0)) if points is None else points[self.copy_of]
-
-    def move(self, belief: Belief, points: Floats, classes: Ints, dt: float) -> None:
-        """Move the base particles in place and the copies, each set under the dynamics of its own class."""
-        f, stream = self.filter, (belief.key, belief.step + 1, NOISE, COPIES)
-        tree = (self.leaf_of, self.nodes, self.parent, self.start, self.copy_of)
-        ground, parts = f.model.dynamics.ground, f._parts(dt)
-        self.copies = motion.roll_nested(points, *tree, *stream, *parts, *ground)
-        if parts[2] > 1:  # from the second sub-step on every copy is somewhere else
-            f._roll(belief, NOISE, points, classes, dt, begin=1)
-            f._roll(belief, COPIES, self.copies, np.repeat(self.nodes, np.diff(self.start)), dt, begin=1)
+        self.points, self.belief, self.dt = points, belief, dt
 
     def spread_fix(self, logs: Floats) -> None:
         """Algorithm 3, lines 16-19, after a fix has weighed the base set."""
@@ -176,6 +169,19 @@ class _Sets:
 
     def stack(self) -> Stack | None:
         """The sets as they are after the evidence; None when there are none but the base set."""
-        if not len(self.copies):
+        if not len(self.copy_of):
             return None
-        return Stack(self.nodes, self.start, self.copies, self.copy_of, self.copied, self.factors)
+        tree = (self.leaf_of, self.nodes, self.parent, self.start, self.copy_of)
+        where = partial(_copies, self.filter, self.points, tree, self.belief.key, self.belief.step + 1, self.dt)
+        return Stack(self.nodes, self.start, self.copy_of, self.copied, self.factors, where)
+
+
+def _copies(f: MHPF, points: Floats, tree: tuple[Ints, ...], key: NDArray[np.uint64], step: int, dt: float) -> Floats:
+    """(S, d) where copies of particles at ``points`` are after ``dt`` seconds under the classes of their sets."""
+    ground, (kind, scale, parts, h) = f.model.dynamics.ground, f._parts(dt)
+    noise = (key, step, COPIES, kind, scale, parts, h)
+    copies = motion.roll_nested(points, *tree, *noise, *ground)
+    if parts > 1:  # from the second sub-step on every copy is somewhere else
+        _, nodes, _, start, _ = tree
+        motion.roll(copies, np.repeat(nodes, np.diff(start)), *noise, 1, *ground)
+    return copies

@@ -152,13 +152,8 @@ def _chain(q, node, nodes, parent, lo, hi, rows, count, field, reach2, floor2, o
 
 
 @inner
-def _move_nested(
-    points, leaf_of, nodes, parent, start, noise, copy_noise, h, copies, lo, hi, field, reach2, floor2, dims
-):
-    """One sub-step of ``roll_nested``; ``noise`` is N d numbers, ``copy_noise`` S d.
-
-    The copies start where the base particle does and come to lie in ``copies`` (S, d).
-    """
+def _move_nested(points, leaf_of, nodes, parent, start, noise, h, copies, lo, hi, field, reach2, floor2, dims):
+    """Write the copies (S, d) where one sub-step takes them from the points (N, d); ``noise`` is S d numbers."""
     cursor = np.empty(len(nodes), dtype=np.int64)
     for a in range(len(nodes)):
         cursor[a] = start[a]
@@ -183,37 +178,32 @@ def _move_nested(
                 for k in range(len(dims)):
                     centre[k] = q[k]
             _chain(q, leaf_of[i], nodes, parent, lo, hi, lists[side], count, field, reach2, floor2, drift, dims)
-        for k in range(len(dims)):
-            points[i, k] += h * drift[0, k] + noise[i * len(dims) + k]
         node, place = parent[leaf_of[i]], 1
         while node >= 0:
             s = cursor[node]
             cursor[node] += 1
             for k in range(len(dims)):
-                copies[s, k] = q[k] + (h * drift[place, k] + copy_noise[s * len(dims) + k])
+                copies[s, k] = q[k] + (h * drift[place, k] + noise[s * len(dims) + k])
             node, place = parent[node], place + 1
 
 
 @kernel
 def roll_nested(
-    points, leaf_of, nodes, parent, start, copy_of, key, step, purpose, copy_purpose, kind, scale, parts, h,
+    points, leaf_of, nodes, parent, start, copy_of, key, step, purpose, kind, scale, parts, h,
     lo, hi, data, leaf_at, boxes, level_at, reach2, floor2, dims,
 ):  # fmt: skip
-    """The first sub-step of the base particles (N, d), in place, and of their copies under every ancestor in use.
+    """Copies (S, d) of the base particles (N, d), grouped by node as ``start`` tells, after the first sub-step.
 
-    Returns:
-        copies (S, d), grouped by node as ``start`` tells.
+    A copy starts where its particle does and moves under its own node, an ancestor in use of the particle's leaf. Of no
+    sub-steps, it stays there.
     """
-    field = Field(data, leaf_at, boxes, level_at)
     copies = np.empty((len(copy_of), len(dims)))
     if parts == 0:
         for s in range(len(copy_of)):
             for k in range(len(dims)):
                 copies[s, k] = points[copy_of[s], k]
         return copies
-    noise = _noise(key, step, purpose, kind, scale, h, parts, len(points) * len(dims))
-    copy_noise = _noise(key, step, copy_purpose, kind, scale, h, parts, len(copies) * len(dims))
-    _move_nested(
-        points, leaf_of, nodes, parent, start, noise, copy_noise, h, copies, lo, hi, field, reach2, floor2, dims
-    )
+    field = Field(data, leaf_at, boxes, level_at)
+    noise = _noise(key, step, purpose, kind, scale, h, parts, len(copies) * len(dims))
+    _move_nested(points, leaf_of, nodes, parent, start, noise, h, copies, lo, hi, field, reach2, floor2, dims)
     return copies
