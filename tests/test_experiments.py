@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from wakefold.experiments import runner, simulate
+from wakefold.experiments.grid import LOG
 from wakefold.experiments.registry import Job, Size
 from wakefold.experiments.scenarios import Namer, Scenario, Setting, chosen, data, tree_of
-from wakefold.parallel import Threads
+from wakefold.parallel import Processes, Threads
 
 TINY = Size(scenarios=2, repetitions=2, tanker_scenarios=1)
 OUT = Setting("common", "out", 0.3, 0.05, coarse=0.5)
@@ -76,10 +77,9 @@ def test_reports_name_the_class_of_the_definition():
                 total += -math.log(min(max(near.mean() / tracks.diagonal, 1e-4), 1.0))
             if total > most:
                 best, most = c, total
-        report = namer.best(samples)
-        assert report.class_ == best
-        assert report.level == (tree.birth[best] + tree.death[best]) / 2
-        assert namer.another(report, 5).class_ != best
+        assert namer.classes(samples[None]) == [best]
+        assert namer.report(best).level == (tree.birth[best] + tree.death[best]) / 2
+        assert namer.another(best, 5) != best
 
 
 def test_arrival_is_the_end_of_the_last_stay_outside():
@@ -110,7 +110,7 @@ def test_scores_are_those_of_runs_by_hand():
 
 def test_with_fixes_alone_gsi2017_is_bl1():
     setting = Setting("common", "out", 0.05, 0.05)
-    runs = [simulate.run(dict(simulate.job(setting, m, TINY).spec)) for m in simulate.LOG]
+    runs = [simulate.run(dict(simulate.job(setting, m, TINY).spec)) for m in LOG]
     mhpf, bl1, coarse = (simulate.scores(runs[k]) for k in (1, 2, 3))
     assert np.allclose(mhpf.mse, bl1.mse)
     assert np.array_equal(bl1.mse, coarse.mse)
@@ -118,13 +118,13 @@ def test_with_fixes_alone_gsi2017_is_bl1():
 
 
 def test_results_are_kept_and_an_interrupted_run_goes_on(tmp_path, monkeypatch):
-    jobs = [simulate.job(OUT, method, TINY) for method in simulate.LOG[:3]]
+    jobs = [simulate.job(OUT, method, TINY) for method in LOG[:3]]
     seen = []
     first = runner.run_all([*jobs, jobs[0]], tmp_path, Threads(1), seen.append)
     assert first[0] == first[3]
     assert len(list(tmp_path.iterdir())) == 3
     assert seen[-1] == 1
-    kept = runner.key(jobs[1], runner.code_digest())
+    kept = runner.key(jobs[1])
     (tmp_path / f"{kept}.json").unlink()
     ran = []
     monkeypatch.setattr(simulate, "run", lambda spec: ran.append(spec) or {"again": True})
@@ -133,8 +133,31 @@ def test_results_are_kept_and_an_interrupted_run_goes_on(tmp_path, monkeypatch):
     assert second == [first[0], {"again": True}, first[2]]
 
 
-def test_results_hang_on_the_code_and_on_all_of_the_specification():
+def test_results_hang_on_the_code_and_on_all_of_the_specification(monkeypatch):
     one, other = (Job("simulate:run", {"seed": seed}) for seed in (0, 1))
-    assert runner.key(one, "a") != runner.key(other, "a")
-    assert runner.key(one, "a") != runner.key(one, "b")
-    assert runner.key(one, "a") == runner.key(Job("simulate:run", {"seed": 0}, cost=9.0), "a")
+    assert runner.key(one) != runner.key(other)
+    assert runner.key(one) == runner.key(Job("simulate:run", {"seed": 0}, cost=9.0))
+    assert runner.code_digest("simulate") != runner.code_digest("scenarios")
+    before = runner.key(one)
+    monkeypatch.setattr(runner, "code_digest", lambda module: "other code")
+    assert runner.key(one) != before
+
+
+def test_the_code_a_result_hangs_on_is_what_its_module_imports(tmp_path, monkeypatch):
+    (tmp_path / "experiments").mkdir()
+    files = {"experiments/one.py": "from wakefold.part import x", "part.py": "import wakefold.deep", "deep.py": "x = 1"}
+    for name, text in {**files, "apart.py": "y = 1"}.items():
+        (tmp_path / name).write_text(text)
+    monkeypatch.setattr(runner, "SOURCE", tmp_path)
+    fresh = runner.code_digest.__wrapped__
+    before = fresh("one")
+    (tmp_path / "apart.py").write_text("y = 2")
+    assert fresh("one") == before
+    (tmp_path / "deep.py").write_text("x = 2")
+    assert fresh("one") != before
+
+
+def test_processes_give_what_threads_give(tmp_path):
+    jobs = [simulate.job(OUT, method, TINY) for method in LOG[2:4]]
+    one = runner.run_all(jobs, tmp_path / "threads", Threads(1))
+    assert runner.run_all(jobs, tmp_path / "processes", Processes(2)) == one

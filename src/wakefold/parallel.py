@@ -1,14 +1,15 @@
 """Map a function over pieces of work: on the cores of this machine, or on a Ray cluster.
 
-On one machine kernels release the interpreter lock, so threads are enough and nothing is copied or pickled. Whatever
-runs a piece, its result is the same: an algorithm is written once, as ``executor.map(f, items, shared)``.
+Kernels release the interpreter lock, so for them threads are enough and nothing is copied or pickled; work in Python
+takes processes. Whatever runs a piece, its result is the same: an algorithm is written once, as
+``executor.map(f, items, shared)``.
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -89,6 +90,48 @@ class Threads:
         self, f: Callable[..., R], items: Sequence[Any], shared: tuple = (), progress: Progress | None = None
     ) -> list[R]:
         return thread_map(lambda item: f(item, *shared), items, self.threads, progress)
+
+
+class Processes:
+    """Processes of their own, all cores by default: for work that spends its time in Python.
+
+    Items and results are copied between processes. Each starts afresh, so a script that uses this guards its main part
+    by ``if __name__ == "__main__"``. The first error, Ctrl-C included, ends all of them at once.
+    """
+
+    def __init__(self, processes: int | None = None):
+        self.processes = cores() if processes is None else processes
+        if self.processes < 1:
+            raise ValueError(f"processes must be at least 1, got {processes}")
+
+    def share(self, array: np.ndarray) -> np.ndarray:
+        return array
+
+    def map(
+        self, f: Callable[..., R], items: Sequence[Any], shared: tuple = (), progress: Progress | None = None
+    ) -> list[R]:
+        import multiprocessing as mp
+        import signal
+
+        if not items:
+            return []
+        others = set(mp.active_children())
+        pool = ProcessPoolExecutor(
+            min(self.processes, len(items)), mp.get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
+        )
+        try:
+            futures = [pool.submit(f, item, *shared) for item in items]
+            for done, future in enumerate(as_completed(futures), start=1):
+                future.result()
+                if progress:
+                    progress(done / len(items))
+            return [future.result() for future in futures]
+        except BaseException:
+            for worker in set(mp.active_children()) - others:
+                worker.terminate()
+            raise
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 class Ray:

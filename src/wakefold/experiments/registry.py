@@ -16,7 +16,19 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol, cast
 
 # Name on the command line -> module, in the order of the page.
-FIGURES: dict[str, str] = {}
+FIGURES: dict[str, str] = {
+    "fig1": "fig1",
+    "fig2": "fig2",
+    "fig3": "fig3",
+    "fig5": "fig5",
+    "mse": "mse",
+    "fig6": "fig6",
+    "fig7a": "fig7a",
+    "fig7b": "fig7b",
+    "fig8": "fig8",
+    "fig9": "fig9",
+    "ablation": "ablation",
+}
 
 
 class Size(NamedTuple):

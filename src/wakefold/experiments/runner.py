@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import os
@@ -15,23 +16,37 @@ from wakefold.experiments.registry import Job
 from wakefold.parallel import Executor
 
 SOURCE = Path(__file__).parents[1]
-# What cannot change a result: pictures, pages, the command line, readers of files.
-ASIDE = ("plot", "cli", "demo", "io", "export", "observations", "experiments/page", "experiments/runner")
 
 
 @cache
-def code_digest() -> str:
-    """Of the source that results depend on: results of other code are not taken up again."""
-    digest = hashlib.sha256()
-    for file in sorted(SOURCE.rglob("*.py")):
-        if not file.relative_to(SOURCE).as_posix().startswith(ASIDE):
-            digest.update(file.read_bytes())
+def code_digest(module: str) -> str:
+    """Of the source of a module of ``wakefold.experiments`` and of all of Wakefold that it imports, directly or not.
+
+    Results of other code are not taken up again; code that no result depends on, such as pages, may change.
+    """
+    digest, seen, waiting = hashlib.sha256(), set(), [f"wakefold.experiments.{module}"]
+    while waiting:
+        name = waiting.pop()
+        file = SOURCE.joinpath(*name.split(".")[1:])
+        file = file / "__init__.py" if file.is_dir() else file.with_suffix(".py")
+        if name in seen or not file.exists():
+            continue
+        seen.add(name)
+        for node in ast.walk(ast.parse(file.read_bytes())):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("wakefold"):
+                waiting += [node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)]
+            elif isinstance(node, ast.Import):
+                waiting += [alias.name for alias in node.names if alias.name.startswith("wakefold")]
+    for name in sorted(seen - {"wakefold"}):
+        file = SOURCE.joinpath(*name.split(".")[1:])
+        digest.update(f"{name}\n".encode())
+        digest.update((file / "__init__.py" if file.is_dir() else file.with_suffix(".py")).read_bytes())
     return digest.hexdigest()
 
 
-def key(job: Job, digest: str) -> str:
+def key(job: Job) -> str:
     """Name of a job's result: a hash of all it depends on."""
-    text = json.dumps([digest, job.run, job.spec], sort_keys=True)
+    text = json.dumps([code_digest(job.run.split(":")[0]), job.run, job.spec], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
@@ -45,8 +60,7 @@ def run_all(
         progress: called with the share of the cost that is done.
     """
     kept.mkdir(parents=True, exist_ok=True)
-    digest = code_digest()
-    files = [kept / f"{key(job, digest)}.json" for job in jobs]
+    files = [kept / f"{key(job)}.json" for job in jobs]
     todo = {file: job for file, job in zip(files, jobs, strict=True) if not file.exists()}
     # The dearest first, so that no core waits long for the last one; jobs alike stay together, as they share models.
     ordered = sorted(todo.items(), key=lambda item: -item[1].cost)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from functools import cached_property, lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from zlib import crc32
 
 import numpy as np
@@ -18,12 +18,13 @@ from scipy.spatial import KDTree
 from wakefold import datasets
 from wakefold.dynamics import Dynamics
 from wakefold.filtration import Filtration
+from wakefold.kernels.reports import name_classes
 from wakefold.model import Model
 from wakefold.tracks import Tracks
 
 Floats = NDArray[np.float64]
 SAMPLES = 10  # that a coarse report is made from
-NEAREST = 512  # points looked at around each of them
+NEAREST = 64  # points looked at around each of them
 
 
 class Setting(NamedTuple):
@@ -140,17 +141,19 @@ class Scenario:
         told, lies = rng.uniform(size=(2, steps))
         spread = rng.normal(size=(steps, SAMPLES, 2))
         other = rng.integers(1 << 30, size=steps)
+        scale, at = s.psi * self.diagonal, self.path[1:]
+        leading = np.arange(1, steps + 1) <= (1.0 if s.lead_in is None else s.lead_in) * steps
+        reported = (told < s.coarse) & (~leading if s.lead_in is not None else True)
+        named = dict.fromkeys(range(steps), -1)
+        if reported.any():
+            rows = np.flatnonzero(reported)
+            classes = self.namer.classes(at[rows, None] + scale * spread[rows])
+            named |= dict(zip(rows.tolist(), classes.tolist(), strict=True))
         out = []
         for k in range(steps):
-            at = self.path[k + 1]
-            leading = s.lead_in is None or k + 1 <= s.lead_in * steps
-            fix = at + s.psi * self.diagonal * offsets[k] if leading else None
-            report = None
-            if told[k] < s.coarse and (s.lead_in is None or not leading):
-                report = self.namer.best(at + s.psi * self.diagonal * spread[k])
-                if lies[k] < s.wrong:
-                    report = self.namer.another(report, int(other[k]))
-            out.append(Observed(fix, report))
+            class_ = self.namer.another(named[k], int(other[k])) if reported[k] and lies[k] < s.wrong else named[k]
+            fix = at[k] + scale * offsets[k] if leading[k] else None
+            out.append(Observed(fix, self.namer.report(class_) if reported[k] else None))
         return out
 
     @cached_property
@@ -161,41 +164,37 @@ class Scenario:
 class Namer:
     """Names the class most likely to have made some points, as the authors' public code does.
 
-    A point scores a class by -log of its mean distance to the k nearest points of the class, k being the number of
-    tracks in it; the class of the largest sum is named, at the middle of its life. Single tracks are never named, nor
-    is the root, which says nothing. A class with fewer than k of its points among the ``NEAREST`` around a sample is
-    too far off to be named.
+    See ``kernels.reports``; a report is read at the middle of its class's life. Single tracks are never named, nor is
+    the root, which says nothing. Of the points around each sample the ``NEAREST`` count.
+
+    Raises:
+        ValueError: the tree has no class between its tracks and its root.
     """
 
     def __init__(self, tracks: Tracks, tree: Filtration) -> None:
+        if tree.root <= len(tree):
+            raise ValueError("there is no class to name between the single tracks and the root")
+        self.tree, self.diagonal = tree, tracks.diagonal
         self.points = KDTree(tracks.points)
-        self.count = min(NEAREST, len(tracks.points))
-        self.diagonal = tracks.diagonal
-        rank = np.repeat(tree.rank, tracks.lengths)
-        inner = np.arange(len(tree), tree.root)
-        self.classes = inner
-        self.level = 0.5 * (tree.birth[inner] + tree.death[inner])
-        self.size = (tree.hi - tree.lo)[inner]
-        self.holds = (tree.lo[inner, None] <= rank) & (rank < tree.hi[inner, None])  # (C, P)
+        self.owner = np.repeat(np.arange(len(tracks)), tracks.lengths)
+        self.size = tree.hi - tree.lo
+        self.near = min(NEAREST, len(tracks.points))
 
-    def best(self, samples: Floats) -> Report:
-        """The class for samples ``(n, d)``."""
-        distances, rows = self.points.query(samples, k=self.count)
-        inside = self.holds[:, rows]  # (C, n, count)
-        nearest = inside & (np.cumsum(inside, axis=2) <= self.size[:, None, None])
-        mean = (nearest * distances).sum(axis=2) / self.size[:, None]
-        complete = nearest.sum(axis=2) == self.size[:, None]
-        score = np.where(complete, -np.log(np.clip(mean / self.diagonal, 1e-4, 1.0)), -math.inf).sum(axis=1)
-        k = int(np.argmax(score))
-        return Report(int(self.classes[k]), float(self.level[k]))
+    def classes(self, samples: Floats) -> NDArray[np.int64]:
+        """The class for each set of samples ``(R, S, d)``, ``(R,)``."""
+        distances, rows = self.points.query(samples, k=self.near)
+        out = np.empty(len(samples), dtype=np.int64)
+        name_classes(distances, self.owner[rows], self.tree.parent, self.size, self.diagonal, out)
+        return out
 
-    def another(self, report: Report, number: int) -> Report:
-        """Any class but the one reported, picked by a number."""
-        others = np.flatnonzero(self.classes != report.class_)
-        if not len(others):
-            return report
-        k = int(others[number % len(others)])
-        return Report(int(self.classes[k]), float(self.level[k]))
+    def report(self, class_: int) -> Report:
+        """The report that names a class."""
+        return Report(class_, float(0.5 * (self.tree.birth[class_] + self.tree.death[class_])))
+
+    def another(self, class_: int, number: int) -> int:
+        """Any class that can be named but this one, picked by a number."""
+        others = [c for c in range(len(self.tree), self.tree.root) if c != class_]
+        return others[number % len(others)] if others else class_
 
 
 @lru_cache(maxsize=64)
@@ -212,8 +211,3 @@ def _epsilon(rule: str, tracks: Tracks, tree: Filtration) -> float | None:
         case "wide":
             return 0.5 * float(tree.birth[tree.root])
     raise ValueError(f"no epsilon rule {rule!r}")
-
-
-def setting(spec: dict[str, Any]) -> Setting:
-    """The setting in a job's specification."""
-    return Setting(**spec)

@@ -41,16 +41,6 @@ class Method(NamedTuple):
         return " ".join(part for part in (title, self.rule, self.likelihood) if part)
 
 
-LOG = [
-    Method("mhpf", "log", "arxiv2016"),
-    Method("mhpf", "log", "gsi2017"),
-    Method("bl1"),
-    Method("bl1+coarse"),
-    Method("bl2"),
-]
-GAUSSIAN = [method._replace(likelihood="gaussian") for method in LOG]
-
-
 def make(method: Method, model: Model, particles: int, seed: int) -> Any:
     """The filter a method names."""
     settings: dict[str, Any] = {"likelihood": method.likelihood, "seed": seed}

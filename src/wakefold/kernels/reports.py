@@ -1,0 +1,49 @@
+"""Which class is most likely to have made some points: who names classes in the papers' experiments."""
+
+import math
+
+import numpy as np
+
+from wakefold.kernels.compile import kernel
+
+
+@kernel
+def name_classes(distances, leaves, parent, size, diagonal, out):
+    """The class that scores best for the samples of each report, into ``out`` (R,).
+
+    A sample scores a class of k tracks by -log of its mean distance to the k nearest points of the class. The named
+    class is one that has k points near as many of the samples as possible, of those the one of the largest sum, of
+    those the first. Neither single tracks nor the root are named.
+
+    Args:
+        distances: (R, S, K) from each sample to the points near it, rising.
+        leaves: (R, S, K) class ids of the tracks of these points.
+        parent: (C,) -1 for the root. size: (C,) number of tracks.
+        diagonal: that distances are scaled by before they are clipped to [1e-4, 1].
+    """
+    reports, samples, near = distances.shape
+    classes = len(parent)
+    score, met = np.empty(classes), np.empty(classes, dtype=np.int64)
+    total, count = np.empty(classes), np.empty(classes, dtype=np.int64)
+    for r in range(reports):
+        score[:] = 0.0
+        met[:] = 0
+        for s in range(samples):
+            total[:] = 0.0
+            count[:] = 0
+            for j in range(near):
+                c = parent[leaves[r, s, j]]
+                while c >= 0:
+                    if count[c] < size[c]:
+                        count[c] += 1
+                        total[c] += distances[r, s, j]
+                        if count[c] == size[c]:
+                            score[c] -= math.log(min(max(total[c] / size[c] / diagonal, 1e-4), 1.0))
+                            met[c] += 1
+                    c = parent[c]
+        best = -1
+        for c in range(classes):
+            if size[c] > 1 and parent[c] >= 0:
+                ahead = best < 0 or met[c] > met[best] or (met[c] == met[best] and score[c] > score[best])
+                best = c if ahead else best
+        out[r] = best
