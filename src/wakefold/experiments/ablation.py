@@ -27,7 +27,7 @@ EPSILON = {"default": "median death of a track", "near": "2 × spacing", "wide":
 
 
 def jobs(size: Size) -> list[Job]:
-    return grid.jobs(SETTINGS, RUN, size)
+    return grid.jobs(SETTINGS, RUN, size, stack=True)
 
 
 def report(results: list[Any], size: Size, folder: Path) -> Section:

@@ -37,9 +37,9 @@ LOOKS = {  # colour, marker
 }
 
 
-def jobs(settings: Iterable[Setting], methods: Sequence[Method], size: Size) -> list[Job]:
+def jobs(settings: Iterable[Setting], methods: Sequence[Method], size: Size, stack: bool = False) -> list[Job]:
     """One job for each method under each setting."""
-    return [job(setting, method, size) for setting, method in product(settings, methods)]
+    return [job(setting, method, size, stack) for setting, method in product(settings, methods)]
 
 
 def found(settings: Iterable[Setting], methods: Sequence[Method], results: Sequence[Any]) -> dict:

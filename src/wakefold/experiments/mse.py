@@ -20,7 +20,7 @@ RUN = [m for m in METHODS if m.filter != "bl1+coarse"]  # without coarse evidenc
 
 
 def jobs(size: Size) -> list[Job]:
-    return grid.jobs(SETTINGS, RUN, size)
+    return grid.jobs(SETTINGS, RUN, size, stack=True)
 
 
 def report(results: list[Any], size: Size, folder: Path) -> Section:

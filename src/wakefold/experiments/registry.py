@@ -51,7 +51,7 @@ class Size(NamedTuple):
 
 
 FULL = Size()
-QUICK = Size(scenarios=3, repetitions=2, tanker_scenarios=2, quick=True)
+QUICK = Size(scenarios=2, repetitions=1, tanker_scenarios=2, quick=True)
 
 
 class Job(NamedTuple):
