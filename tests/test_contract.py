@@ -33,6 +33,8 @@ STOREYS = [
     ["growth"],
     ["search"],
     ["dendrogram", "distance", "features", "spanning"],
+    ["company", "relations_fit"],
+    ["walkers"],
     ["tracks", "shaping"],
     ["ragged", "sketch", "projection", "units", "smoothing"],
     ["store"],

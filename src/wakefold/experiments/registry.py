@@ -28,6 +28,7 @@ FIGURES: dict[str, str] = {
     "fig8": "fig8",
     "fig9": "fig9",
     "ablation": "ablation",
+    "walking": "walking",
 }
 
 

@@ -1,0 +1,285 @@
+"""Real people: who walks with whom, where a hidden person is, who is who after nobody was seen for eight seconds.
+
+Four scenes (ETH and UCY, with annotated groups); each is judged with constants, thresholds and settings learned and
+chosen on the other three. Needs the data: ``WAKEFOLD_PEDESTRIANS`` names OpenTraj's ``datasets`` directory.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from functools import cache
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wakefold.company import Beside, Reunion, beside, hide, learn_company, reunite
+from wakefold.experiments.registry import Job, Section, Size
+from wakefold.experiments.walking_rivals import Logistic, Rule, f1, features, within
+from wakefold.io.pedestrians import FRAME, SCENES, PedestrianScene, read_scenes
+from wakefold.relations_fit import Crowd, TogetherFit, crowd, fit
+from wakefold.walkers import Walkers, follow
+
+TITLE = "Real people: who walks with whom"
+WHERE = "WAKEFOLD_PEDESTRIANS"
+
+FADES, RIDGES, TRUSTS = (0.3, 0.5), (0.3, 1.0), (0.5, 1.0)
+WANDERS = (0.15, 0.25, 0.35, 0.5)  # q of the constant-velocity forecast, m/s per square root of a second
+REUNIONS = tuple(Reunion(q, slack, least) for q, slack, least in product((0.15, 0.2, 0.3), (0.7, 1.0), (0.02, 0.05)))
+DARK = 20  # frames: 8 s
+RESAMPLES = 1000
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+
+class Known(NamedTuple):
+    """A scene, ready for learning and judging."""
+
+    scene: PedestrianScene
+    walkers: Walkers
+    crowd: Crowd
+    truth: Bools
+    table: Floats
+
+
+def data_directory() -> Path | None:
+    """Where the scenes are, if they are anywhere."""
+    named = os.environ.get(WHERE)
+    if not named or not all((Path(named) / place / "obsmat.txt").exists() for place in SCENES.values()):
+        return None
+    return Path(named)
+
+
+def jobs(size: Size) -> list[Job]:
+    root = data_directory()
+    if root is None:
+        return []
+    return [Job("walking:judge", {"root": str(root), "scene": name, "seed": size.seed}) for name in SCENES]
+
+
+def report(results: list[Any], size: Size, folder: Path) -> Section:
+    if not results:
+        return Section(TITLE, [f"Not run: the data is not there. {WHERE} must name OpenTraj's directory of datasets."])
+    from wakefold.experiments.walking_report import section
+
+    return section(TITLE, results, folder)
+
+
+@cache
+def scenes(root: str) -> tuple[Known, ...]:
+    """All four, read once in each process."""
+    return tuple(known(scene) for scene in read_scenes(root))
+
+
+def known(scene: PedestrianScene) -> Known:
+    """A scene followed, with its pairs and which of them are partners."""
+    walkers = follow(scene.tracks, FRAME)
+    people, partners, ids = crowd(walkers), scene.partners(), scene.tracks.ids.tolist()
+    pairs = zip(people.pairs.first.tolist(), people.pairs.second.tolist(), strict=True)
+    truth = np.array([(ids[i], ids[j]) in partners for i, j in pairs])
+    return Known(scene, walkers, people, truth, features(walkers, people))
+
+
+def judge(spec: Mapping[str, Any]) -> dict[str, Any]:
+    """Everything about one scene, learned on the other three."""
+    everybody = scenes(spec["root"])
+    test = next(k for k in everybody if k.scene.name == spec["scene"])
+    others = [k for k in everybody if k is not test]
+    rng = np.random.default_rng([spec["seed"], list(SCENES).index(spec["scene"])])
+    recognised, beliefs = recognise(test, others, rng)
+    return {
+        "scene": test.scene.name,
+        "recognition": recognised,
+        "hidden": hidden(test, others, beliefs, rng),
+        "blackout": blackout(test, others, beliefs, rng),
+    }
+
+
+def learned(train: Sequence[Known], fade: float, ridge: float, trust: float) -> TogetherFit:
+    """Constants from scenes with known groups."""
+    return fit([k.crowd for k in train], [k.truth for k in train], fade=fade, ridge=ridge, trust=trust)
+
+
+def chosen(train: Sequence[Known]) -> dict[str, float]:
+    """The settings with the best mean F1, each training scene judged by constants of the others."""
+    best = (-1.0, 0.0, 0.0, 0.0)
+    for fade, ridge, trust in product(FADES, RIDGES, TRUSTS):
+        scores: list[float] = []
+        for k in train:
+            constants = learned([other for other in train if other is not k], fade, ridge, trust)
+            scores.append(f1(k.truth, constants.posterior(k.crowd, constants.settle(k.crowd)) > 0.5))
+        best = max(best, (float(np.mean(scores)), fade, ridge, trust))
+    return {"fade": best[1], "ridge": best[2], "trust": best[3]}
+
+
+def over_time(test: Known, train: Sequence[Known], settings: Mapping[str, float]) -> Floats:
+    """Beliefs about each pair up to each frame, with constants of the training scenes."""
+    constants = learned(train, **settings)
+    return constants.over_time(test.walkers, test.crowd, constants.settle(test.crowd))
+
+
+def recognise(test: Known, others: list[Known], rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, Floats]]:
+    """Pairwise F1 beside the rivals', and calibration; and the beliefs over time that the tracking needs.
+
+    The beliefs of a training scene come from the other training scenes, so they are as good as the test scene's.
+    """
+    settings = chosen(others)
+    constants = learned(others, **settings)
+    own = constants.settle(test.crowd)
+    p, truth = constants.posterior(test.crowd, own), test.truth
+    rule = Rule([k.walkers for k in others], [k.crowd for k in others], [k.truth for k in others])
+    rival = Logistic([k.table for k in others], [k.truth for k in others])
+    found = {
+        "relation": p > 0.5,
+        "rule": rule.found(test.walkers, test.crowd),
+        "logistic": rival.found(test.table),
+    }
+    draws = rng.integers(0, len(test.crowd.pairs.first), (RESAMPLES, len(truth)))
+    spread = {name: [f1(truth[d], x[d]) for d in draws] for name, x in found.items()}
+    near = test.crowd.looks.closest < 3.0
+    beliefs = {k.scene.name: over_time(k, [o for o in others if o is not k], settings) for k in others}
+    beliefs[test.scene.name] = constants.over_time(test.walkers, test.crowd, own)
+    causal = beliefs[test.scene.name][test.crowd.pairs.offsets[1:] - 1]
+    return {
+        "pairs": len(truth),
+        "together": int(truth.sum()),
+        "f1": {name: f1(truth, x) for name, x in found.items()},
+        "interval": {name: np.quantile(x, [0.025, 0.975]).tolist() for name, x in spread.items()},
+        "ahead": {
+            name: np.quantile(np.subtract(spread["relation"], spread[name]), [0.025, 0.975]).tolist()
+            for name in ("rule", "logistic")
+        },
+        "without_friends": f1(truth, causal > 0.5),
+        "own_labels": within(test.table, truth, seed=int(rng.integers(2**31))),
+        "settings": settings,
+        "rule": [rule.distance, rule.difference, rule.share],
+        "logistic": [rival.columns, rival.ridge, rival.cut],
+        "spacing": [float(np.exp(constants.spacing)), float(np.exp(own.spacing)), own.spacing_sd, own.shift],
+        "true_spacing": float(np.exp(test.crowd.looks.log_spacing[truth].mean())),
+        "calibration": calibration(p[near], truth[near]),
+        "calibration_logistic": calibration(rival.probability(test.table)[near], truth[near]),
+    }, beliefs
+
+
+def calibration(p: Floats, truth: Bools, bins: int = 10) -> dict[str, Any]:
+    """Expected calibration error over bins of equal width, Brier score and its skill, and the reliability curve."""
+    which = np.minimum((p * bins).astype(np.int64), bins - 1)
+    count = np.bincount(which, minlength=bins)
+    said = np.bincount(which, p, bins) / np.maximum(count, 1)
+    was = np.bincount(which, truth, bins) / np.maximum(count, 1)
+    brier, base = float(((p - truth) ** 2).mean()), float(truth.mean() * (1.0 - truth.mean()))
+    return {
+        "pairs": len(p),
+        "ece": float((np.abs(said - was) * count).sum() / max(len(p), 1)),
+        "brier": brier,
+        "skill": 1.0 - brier / base if base > 0 else 0.0,
+        "curve": [said.tolist(), was.tolist(), count.tolist()],
+    }
+
+
+def hidden(test: Known, others: list[Known], beliefs: Mapping[str, Floats], rng: np.random.Generator) -> dict[str, Any]:
+    """One member of a group hidden for 4.8 s with a partner in sight: squared error beside constant velocity.
+
+    q is the one at which constant velocity does best on the training scenes.
+    """
+
+    def moments(k: Known, q: float) -> Beside:
+        walkers = follow(k.scene.tracks, FRAME, q=q)
+        return hide(walkers, k.crowd.pairs, beliefs[k.scene.name], k.truth)
+
+    def alone(moments: Beside) -> float:
+        seen = moments.rows(moments.together)
+        return float(((seen.alone - seen.truth) ** 2).sum(axis=2).mean())
+
+    train = {q: [moments(k, q) for k in others] for q in WANDERS}
+    q = min(WANDERS, key=lambda q: np.mean([alone(m) for m in train[q]]))
+    out: dict[str, Any] = {"q": q}
+    for name, told in (("believed", False), ("told", True)):
+        taken = learn_company([m.rows(m.together) if told else m for m in train[q]])
+        rows = moments(test, q)
+        members = set(zip(rows.person[rows.together].tolist(), rows.frame[rows.together].tolist(), strict=True))
+        keep = [key in members for key in zip(rows.person.tolist(), rows.frame.tolist(), strict=True)]
+        rows = rows.rows(rows.together if told else np.array(keep))
+        first, place = beside(rows, taken)
+        error = ((place - rows.truth[first]) ** 2).sum(axis=2)
+        plain = ((rows.alone - rows.truth)[first] ** 2).sum(axis=2)
+        out[name] = _ratio(error.mean(axis=1), plain.mean(axis=1), rows.person[first], rng)
+        out[name]["at_the_end"] = float(error[:, -1].mean() / plain[:, -1].mean())
+    return out
+
+
+def blackout(
+    test: Known, others: list[Known], beliefs: Mapping[str, Floats], rng: np.random.Generator
+) -> dict[str, Any]:
+    """Everybody who stays is hidden for 8 s and comes back without a name: share of wrong names."""
+    cases = {k.scene.name: _dark(k, beliefs[k.scene.name]) for k in (*others, test)}
+
+    def wrong(name: str, settings: Reunion, which: str) -> Floats:
+        return np.array([_errors(case, settings, which) for case in cases[name]], dtype=np.float64).reshape(-1, 2)
+
+    best: dict[str, Reunion] = {}
+    for which in ("plain", "believed"):
+
+        def score(settings: Reunion, which: str = which) -> float:
+            both = np.concatenate([wrong(k.scene.name, settings, which) for k in others])
+            return float(both[:, 0].sum() / both[:, 1].sum())
+
+        best[which] = min(REUNIONS if which == "believed" else REUNIONS[:1], key=score)
+    plain = wrong(test.scene.name, best["plain"], "plain")
+    out: dict[str, Any] = {"settings": list(best["believed"]), "windows": len(plain), "people": int(plain[:, 1].sum())}
+    windows = np.arange(len(plain))
+    for which in ("believed", "told"):
+        ours = wrong(test.scene.name, best["believed"], which)
+        out[which] = _ratio(ours[:, 0], plain[:, 0], windows, rng)
+        out[which]["error"] = float(ours[:, 0].sum() / ours[:, 1].sum())
+    out["plain"] = float(plain[:, 0].sum() / plain[:, 1].sum())
+    return out
+
+
+def _dark(k: Known, belief: Floats, every: int = 10, before: int = 5) -> list[tuple[Floats, ...]]:
+    """Windows of 8 s in which at least three people stay: last position and velocity, return, belief, truth."""
+    w, pairs = k.walkers, k.crowd.pairs
+    n, out = len(w.ids), []
+    for frame in range(int(w.begin.min()) + before, int(w.end.max()) - DARK, every):
+        stay = np.flatnonzero((w.begin <= frame - before) & (w.end > frame + DARK))
+        if len(stay) < 3:
+            continue
+        row = w.offsets[stay] + frame - 1 - w.begin[stay]
+        back = w.seen[row + DARK + 1]
+        if not np.isfinite(back).all():
+            continue
+        p, truth = np.zeros((n, n)), np.zeros((n, n))
+        now = np.flatnonzero((pairs.begin < frame) & (pairs.end >= frame))
+        p[pairs.first[now], pairs.second[now]] = belief[pairs.offsets[now] + frame - 1 - pairs.begin[now]]
+        truth[pairs.first[k.truth], pairs.second[k.truth]] = 1.0
+        both = np.ix_(stay, stay)
+        out.append((w.position[row], w.velocity[row], back, (p + p.T)[both], (truth + truth.T)[both]))
+    return out
+
+
+def _errors(case: tuple[Floats, ...], settings: Reunion, which: str) -> tuple[int, int]:
+    position, velocity, back, belief, truth = case
+    known = {"plain": None, "believed": belief, "told": truth * 0.97}[which]
+    who = reunite(position, velocity, back, (DARK + 1) * FRAME, known, settings)
+    return int((who != np.arange(len(who))).sum()), len(who)
+
+
+def _ratio(ours: Floats, plain: Floats, of: NDArray, rng: np.random.Generator) -> dict[str, Any]:
+    """Ratio of sums, with an interval from drawing the units ``of`` (people, windows) again."""
+    units, which = np.unique(of, return_inverse=True)
+    sums = np.stack([np.bincount(which, x, len(units)) for x in (ours, plain)])
+    draws = sums[:, rng.integers(0, len(units), (RESAMPLES, len(units)))].sum(axis=2)
+    ratio = draws[0] / np.maximum(draws[1], 1e-12)
+    return {
+        "n": len(ours),
+        "units": len(units),
+        "ratio": float(ours.sum() / max(plain.sum(), 1e-12)),
+        "interval": np.quantile(ratio, [0.025, 0.975]).tolist(),
+        "ours": float(ours.mean()),
+        "plain": float(plain.mean()),
+        "sums": [float(ours.sum()), float(plain.sum())],
+    }

@@ -1,0 +1,270 @@
+"""Who walks with whom: constants of the relation "together" learned from scenes with known groups.
+
+The log-odds that two people are together add up what their spacing and the difference of their velocities say. Three
+things are learned in every scene anew, from its unlabelled people: how far apart those who walk together keep (a
+posterior about the training scenes' mean), how often strangers look alike (from ghosts: the same people at another
+time) and who has friends in common.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wakefold.walkers import Looks, Together, Walkers, ghost_pairs, join, looks, pairs_of, running
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+UNIT = 20.0  # frames; a pair seen for n frames counts as (n / UNIT) ** (1 - fade) such pairs
+ROUNDS = 12  # of learning a scene's constants in turn
+REPEATS = 3  # of fitting weights and shifts in turn
+FARTHEST = 6.0  # most that a scene shifts the log-odds
+
+
+class Crowd(NamedTuple):
+    """A scene as the fit sees it.
+
+    Attributes:
+        people: how many.
+        pairs: those seen together long enough.
+        looks: of these pairs.
+        ghosts: looks of pairs of people and ghosts.
+        rate: pairs of people for each pair with a ghost.
+    """
+
+    people: int
+    pairs: Together
+    looks: Looks
+    ghosts: Looks
+    rate: float
+
+
+def crowd(walkers: Walkers, *, least: int = 5, ghosts: int = 60_000) -> Crowd:
+    """What the fit reads of a scene.
+
+    Args:
+        walkers: the people.
+        least: frames that a pair must be seen together.
+        ghosts: about how many pairs with ghosts to look at, in one to ten rounds.
+    """
+    pairs = pairs_of(walkers, least)
+    rounds = max(1, min(10, round(ghosts / max(len(pairs.first), 1))))
+    unreal = join([looks(walkers, g) for g in ghost_pairs(walkers, rounds, least)])
+    rate = len(pairs.first) / max(len(unreal.frames), 1)
+    return Crowd(len(walkers.ids), pairs, looks(walkers, pairs), unreal, rate)
+
+
+class SceneConstants(NamedTuple):
+    """What a scene has told of itself.
+
+    Attributes:
+        spacing: mean log spacing (metres) of people together, its posterior mean.
+        spacing_sd: standard deviation of that posterior.
+        shift: of all log-odds.
+    """
+
+    spacing: float
+    spacing_sd: float
+    shift: float
+
+
+@dataclass(frozen=True, eq=False)
+class TogetherFit:
+    """Learned constants of "together"; made by ``fit``.
+
+    Attributes:
+        fade: how much frames of one pair repeat each other: 0 not at all, 1 entirely.
+        trust: share of the shift that the ghosts ask for.
+        weights: ``(20,)`` never strolled, spacing off the scene's squared, the same signed, the 16 hats of
+            ``walkers.Looks.shape``, constant.
+        friends: ``(4,)`` constant, own log-odds, friends in common, friends not in common.
+        spacing, between, within: mean log spacing of people together over scenes, its standard deviation from scene
+            to scene, and that from pair to pair inside a scene.
+    """
+
+    fade: float
+    trust: float
+    weights: Floats
+    friends: Floats
+    spacing: float
+    between: float
+    within: float
+
+    def settle(self, scene: Crowd) -> SceneConstants:
+        """The constants of a scene, from its people alone (no groups given).
+
+        Spacing: mean of the pairs weighed by how probably they are together, with the training scenes as prior; a pair
+        counts a fifth, as it is not known to be one. Shift: the number of strangers expected among the pairs taken as
+        together equals that of ghosts that would be.
+        """
+        spacing, shift, sd = self.spacing, 0.0, self.between
+        own, unreal = _terms(scene.looks, self.fade), _terms(scene.ghosts, self.fade)
+        base = _base_rate(scene)
+        for _ in range(ROUNDS):
+            z = _design(own, spacing) @ self.weights + base
+            shift = self.trust * _shift(z, _design(unreal, spacing) @ self.weights + base, scene.rate)
+            p = _odds(z + shift)
+            count = 0.2 * p.sum()
+            precision = 1.0 / self.between**2 + count / self.within**2
+            mean = float((p * scene.looks.log_spacing).sum() / max(p.sum(), 1e-9))
+            spacing = (self.spacing / self.between**2 + count * mean / self.within**2) / precision
+            sd = precision**-0.5
+        return SceneConstants(float(spacing), float(sd), float(shift))
+
+    def posterior(self, scene: Crowd, constants: SceneConstants) -> Floats:
+        """``(K,)`` probability that each pair of the scene is together, given all it was seen to do."""
+        z = _design(_terms(scene.looks, self.fade), constants.spacing) @ self.weights
+        return self._with_friends(z + _base_rate(scene) + constants.shift, scene.pairs, scene.people)
+
+    def over_time(self, walkers: Walkers, scene: Crowd, constants: SceneConstants) -> Floats:
+        """``(R,)`` probability of each pair given what was seen up to each frame, laid end to end as in ``walkers``.
+
+        Friends in common are left out: they are known at the end only.
+        """
+        frames, told, log_spacing, strolled = running(walkers, scene.pairs, self.weights[3:-1])
+        terms = _Terms((frames / UNIT) ** (1.0 - self.fade), np.zeros((len(frames), 0)), log_spacing, strolled)
+        keep = np.concatenate([self.weights[:3], self.weights[-1:]])
+        z = _design(terms, constants.spacing) @ keep + told * terms.amount
+        return _odds(z + _base_rate(scene) + constants.shift)
+
+    def _with_friends(self, z: Floats, pairs: Together, people: int) -> Floats:
+        return _odds(_friends(z, pairs, people) @ self.friends)
+
+
+def fit(
+    scenes: list[Crowd], together: list[Bools], *, fade: float = 0.5, ridge: float = 0.5, trust: float = 0.5
+) -> TogetherFit:
+    """Learn the constants from scenes whose groups are known.
+
+    Penalised logistic regression; scenes weigh with the square root of their number of pairs together. The shifts of
+    the training scenes are learned as in ``TogetherFit.settle``, in turn with the weights.
+
+    Args:
+        scenes: at least one.
+        together: ``(K,)`` for each scene, whether each of its pairs is together.
+        fade, trust: see ``TogetherFit``; between 0 and 1.
+        ridge: penalty on squared weights.
+
+    Raises:
+        ValueError: a scene without a pair together, labels that do not fit, or a setting out of range.
+    """
+    if not scenes or len(scenes) != len(together):
+        raise ValueError(f"fit needs labels for each scene, got {len(scenes)} scenes and {len(together)} of labels")
+    for name, value in (("fade", fade), ("trust", trust)):
+        if not 0.0 <= value <= 1.0:
+            raise ValueError(f"{name} must be between 0 and 1, got {value}")
+    for number, (scene, y) in enumerate(zip(scenes, together, strict=True)):
+        if len(y) != len(scene.looks.frames):
+            raise ValueError(f"scene {number} has {len(scene.looks.frames)} pairs but {len(y)} labels")
+        if not y.any() or y.all():
+            raise ValueError(f"scene {number} needs pairs together and pairs that are not")
+    means = [float(s.looks.log_spacing[y].mean()) for s, y in zip(scenes, together, strict=True)]
+    within = float(np.mean([s.looks.log_spacing[y].std() for s, y in zip(scenes, together, strict=True)]))
+    between = max(0.15, float(np.std(means, ddof=1)) if len(means) > 1 else 0.3)
+    designs = [_design(_terms(s.looks, fade), m) for s, m in zip(scenes, means, strict=True)]
+    unreal = [_design(_terms(s.ghosts, fade), m) for s, m in zip(scenes, means, strict=True)]
+    importance = [np.full(len(y), 10.0 / np.sqrt(y.sum())) for y in together]
+    labels, heavy = np.concatenate(together), np.concatenate(importance)
+    shifts, weights = [0.0] * len(scenes), np.zeros(designs[0].shape[1])
+    for repeat in range(REPEATS + 1):
+        offset = [np.full(len(x), _base_rate(s) + d) for x, s, d in zip(designs, scenes, shifts, strict=True)]
+        weights = logistic(np.concatenate(designs), labels, heavy, np.concatenate(offset), ridge)
+        if repeat < REPEATS:
+            shifts = [
+                trust * _shift(x @ weights + _base_rate(s), g @ weights + _base_rate(s), s.rate)
+                for x, g, s in zip(designs, unreal, scenes, strict=True)
+            ]
+    known = [
+        _friends(x @ weights + _base_rate(s) + d, s.pairs, s.people)
+        for x, s, d in zip(designs, scenes, shifts, strict=True)
+    ]
+    friends = logistic(np.concatenate(known)[:, ::-1], labels, heavy, np.zeros(len(labels)), 0.01)[::-1]
+    return TogetherFit(
+        fade, trust, weights, np.ascontiguousarray(friends), float(np.mean(means)), between, max(within, 0.05)
+    )
+
+
+class _Terms(NamedTuple):
+    amount: Floats
+    shape: Floats
+    log_spacing: Floats
+    strolled: Bools
+
+
+def _terms(seen: Looks, fade: float) -> _Terms:
+    amount = (seen.frames / UNIT) ** (1.0 - fade)
+    return _Terms(amount, seen.shape * amount[:, None], seen.log_spacing, seen.strolled)
+
+
+def _design(terms: _Terms, spacing: float) -> Floats:
+    """Columns of the regression; the constant last."""
+    off = terms.log_spacing - spacing
+    ones = np.ones(len(off))
+    columns = [~terms.strolled, -np.minimum(off * off, 4.0), np.clip(off, -1.5, 1.5), *terms.shape.T, ones]
+    return np.column_stack(columns)
+
+
+def _base_rate(scene: Crowd) -> float:
+    """Log-odds before anything is seen: so many partners for each person, whoever else is there."""
+    return float(np.log(scene.people / max(len(scene.pairs.first), 1)))
+
+
+def _shift(z: Floats, ghosts: Floats, rate: float) -> float:
+    """The shift of the log-odds at which as many strangers are taken as together as ghosts would be.
+
+    Solves sum p (1 - p) over pairs = rate times sum p over ghosts, the two sides of that balance.
+    """
+    low, high = -FARTHEST, FARTHEST
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        p = _odds(z + middle)
+        if (p * (1.0 - p)).sum() > rate * _odds(ghosts + middle).sum():
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+def _friends(z: Floats, pairs: Together, people: int) -> Floats:
+    """Columns: constant, own log-odds, expected number of friends in common, and of friends of one alone."""
+    p = np.zeros((people, people))
+    p[pairs.first, pairs.second] = p[pairs.second, pairs.first] = _odds(z)
+    shared = (p @ p)[pairs.first, pairs.second]
+    degree = p.sum(axis=1)
+    alone = degree[pairs.first] + degree[pairs.second] - 2.0 * _odds(z) - 2.0 * shared
+    return np.column_stack([np.ones(len(z)), z, shared, np.maximum(alone, 0.0)])
+
+
+def _odds(z: Floats) -> Floats:
+    from scipy.special import expit
+
+    return expit(z)
+
+
+def logistic(x: Floats, y: Bools, importance: Floats, offset: Floats, ridge: float) -> Floats:
+    """Weights of a penalised logistic regression of ``y (n,)`` on ``x (n, k)``; the last column is not penalised.
+
+    Args:
+        importance: ``(n,)`` weight of each row.
+        offset: ``(n,)`` added to the log-odds.
+        ridge: penalty on squared weights.
+    """
+    from scipy.optimize import minimize
+
+    penalty = np.append(np.full(x.shape[1] - 1, ridge), 1e-9)
+
+    def loss(w: Floats) -> tuple[float, Floats]:
+        z = x @ w + offset
+        value = (importance * np.logaddexp(0.0, np.where(y, -z, z))).sum() + 0.5 * (penalty * w * w).sum()
+        return float(value), x.T @ (importance * (_odds(z) - y)) + penalty * w
+
+    def curvature(w: Floats) -> Floats:
+        p = _odds(x @ w + offset)
+        return (x * (importance * p * (1.0 - p))[:, None]).T @ x + np.diag(penalty)
+
+    start = np.zeros(x.shape[1])
+    return minimize(loss, start, jac=True, hess=curvature, method="trust-exact", options={"gtol": 1e-6}).x
