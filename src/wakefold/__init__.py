@@ -7,10 +7,13 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from wakefold.belief import Belief
+    from wakefold.confusion import Confusion
     from wakefold.detections import Detections
+    from wakefold.deviation import Deviation
     from wakefold.distance import frechet, frechet_matrix
     from wakefold.evidence import CoarseClass, Fix
     from wakefold.filters.bootstrap import BL1, BL2
+    from wakefold.filters.calibrated import Calibrated
     from wakefold.filters.hmm import GaussianHMM
     from wakefold.filters.mhpf import MHPF
     from wakefold.filters.relational import RelationalFilter
@@ -26,9 +29,12 @@ _WHERE = {  # looked up on first use: importing the package costs no numba, pyar
     "BL1": "filters.bootstrap",
     "BL2": "filters.bootstrap",
     "Belief": "belief",
+    "Calibrated": "filters.calibrated",
     "CoarseClass": "evidence",
+    "Confusion": "confusion",
     "ConstantVelocity": "relations",
     "Detections": "detections",
+    "Deviation": "deviation",
     "Filtration": "filtration",
     "Fix": "evidence",
     "GaussianHMM": "filters.hmm",
@@ -64,6 +70,9 @@ __all__ = [  # noqa: RUF022 (by subject)
     "MHPF",
     "BL1",
     "BL2",
+    "Calibrated",
+    "Deviation",
+    "Confusion",
     "GaussianHMM",
     "ConstantVelocity",
     "Sampler",

@@ -103,7 +103,7 @@ def resample(log_weights: Floats, u: Floats, scheme: Resampling) -> Ints:
         return np.sort(np.concatenate([kept, extra]))
     if scheme == "multinomial":
         return _pick(log_weights, np.sort(u))
-    return _pick_strata(log_weights, u, count)
+    return pick_strata(log_weights, u, count)
 
 
 def _pick(log_weights: Floats, positions: Floats) -> Ints:
@@ -112,7 +112,8 @@ def _pick(log_weights: Floats, positions: Floats) -> Ints:
     return out
 
 
-def _pick_strata(log_weights: Floats, u: Floats, count: int) -> Ints:
+def pick_strata(log_weights: Floats, u: Floats, count: int) -> Ints:
+    """Indices ``(count,)``, in rising order, one drawn in each stratum of the cumulated weights."""
     out = np.empty(count, dtype=np.int64)
     kernel.pick_strata(log_weights, u, out)
     return out
@@ -207,7 +208,7 @@ class ParticleFilter:
         else:
             classes = (u[0] * len(tracks)).astype(np.int64)
             share = u[1] if at == "any" else np.zeros(self.particles)
-            points = _along(tracks, classes, share)
+            points = along(tracks, classes, share)
         if not self.single:
             classes = np.full(self.particles, tree.root)
         evidence = None if self.likelihood == "log" else 0.0
@@ -302,7 +303,7 @@ class ParticleFilter:
         above = alive_classes(tree, np.arange(len(tree)), level)
         log_g = coarse_log_g(tree, item, level, above, self.likelihood, self.model.dynamics.diagonal)
         u = _draw(random.uniforms, belief.key, belief.step + 1, RECOVER, (1,))
-        return _pick_strata(log_g, u, self.particles)
+        return pick_strata(log_g, u, self.particles)
 
     def _points_near(self, fix: Fix, log_mass: Floats, u: Floats) -> tuple[Floats, Ints]:
         """Training points drawn in proportion to exp(log mass of their track) times the likelihood; their tracks."""
@@ -316,11 +317,11 @@ class ParticleFilter:
             away = np.abs(tracks.points - fix.on_plane(tracks.projection, tracks.dim)).max(axis=1)
             away[log_mass[owner] == -math.inf] = math.inf
             log_weights = np.where(away == away.min(), log_mass[owner], -math.inf)
-        rows = _pick_strata(log_weights, u, self.particles)
+        rows = pick_strata(log_weights, u, self.particles)
         return tracks.points[rows], owner[rows]
 
 
-def _along(tracks: Tracks, chosen: Ints, share: Floats) -> Floats:
+def along(tracks: Tracks, chosen: Ints, share: Floats) -> Floats:
     """Positions ``(N, d)`` at a share of the duration of each of the chosen tracks (N,)."""
     out = np.empty((len(chosen), tracks.dim))
     for track in np.unique(chosen):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from wakefold import datasets
+from wakefold.confusion import Reporter
 from wakefold.dynamics import Dynamics
 from wakefold.filtration import Filtration
 from wakefold.kernels.reports import name_classes
@@ -155,6 +156,19 @@ class Scenario:
             fix = at[k] + scale * offsets[k] if leading[k] else None
             out.append(Observed(fix, self.namer.report(class_) if reported[k] else None))
         return out
+
+    @cached_property
+    def reporter(self) -> Reporter | None:
+        """Who makes the coarse reports, as far as a filter may know: not the wrong ones. None where there are none."""
+        if self.setting.coarse == 0.0:
+            return None
+        scale = self.setting.psi * self.diagonal
+
+        def report(positions: Floats, rng: np.random.Generator) -> NDArray[np.int64]:
+            samples = positions[:, None] + scale * rng.normal(size=(len(positions), SAMPLES, positions.shape[1]))
+            return np.array([self.namer.best(some).class_ for some in samples])
+
+        return report
 
     @cached_property
     def namer(self) -> Namer:

@@ -9,10 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from wakefold.confusion import Confusion, Reporter
 from wakefold.evidence import CoarseClass, Evidence, Fix
 from wakefold.experiments.registry import Job, Size
 from wakefold.experiments.scenarios import Observed, Scenario, Setting, chosen
 from wakefold.filters.bootstrap import BL1, BL2
+from wakefold.filters.calibrated import Calibrated
 from wakefold.filters.mhpf import MHPF
 from wakefold.model import Model
 
@@ -25,7 +27,7 @@ class Method(NamedTuple):
     """A filter by name.
 
     Attributes:
-        filter: "mhpf", "bl1", "bl1+coarse" or "bl2".
+        filter: "mhpf", "bl1", "bl1+coarse", "bl2" or "calibrated".
         likelihood: "log", "gaussian" or "student".
         rule: of mhpf.
     """
@@ -37,12 +39,13 @@ class Method(NamedTuple):
     @property
     def name(self) -> str:
         """For tables."""
-        title = {"mhpf": "MHPF", "bl1": "BL1", "bl1+coarse": "BL1+coarse", "bl2": "BL2"}[self.filter]
+        titles = {"mhpf": "MHPF", "bl1": "BL1", "bl1+coarse": "BL1+coarse", "bl2": "BL2", "calibrated": "calibrated"}
+        title = titles[self.filter]
         return " ".join(part for part in (title, self.rule, self.likelihood) if part)
 
 
-def make(method: Method, model: Model, particles: int, seed: int) -> Any:
-    """The filter a method names."""
+def make(method: Method, model: Model, particles: int, seed: int, reporter: Reporter | None = None) -> Any:
+    """The filter a method names; ``reporter`` makes the coarse reports, where there are any."""
     settings: dict[str, Any] = {"likelihood": method.likelihood, "seed": seed}
     match method.filter:
         case "mhpf":  # of all sets, as the papers have it, so that the stack's estimate is the papers'
@@ -51,6 +54,9 @@ def make(method: Method, model: Model, particles: int, seed: int) -> Any:
             return BL1(model, particles, coarse=method.filter == "bl1+coarse", **settings)
         case "bl2":
             return BL2(model, particles, **settings)
+        case "calibrated":
+            confusion = None if reporter is None else Confusion.learn(model, reporter, seed=seed)
+            return Calibrated(model, particles, confusion=confusion, seed=seed)
     raise ValueError(f"no filter {method.filter!r}")
 
 
@@ -102,7 +108,7 @@ def run(spec: dict[str, Any]) -> dict[str, Any]:
     rows = []
     for truth in chosen(setting.data, spec["scenarios"], seed):
         scenario = _scenario(setting, truth)
-        f = make(method, scenario.model, spec["particles"], seed)
+        f = make(method, scenario.model, spec["particles"], seed, scenario.reporter)
         rows.append(
             [
                 follow(f, scenario, _observed(setting, truth, seed, r), f"{truth}/{r}", spec["stack"])

@@ -1,0 +1,339 @@
+"""A filter of matched likelihoods and exact class masses (docs/algorithm.md, The calibrated filter)."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime
+from typing import Literal, NamedTuple, overload
+
+import numpy as np
+
+from wakefold.belief import Belief, Gaussians
+from wakefold.confusion import Confusion, Reliability
+from wakefold.deviation import Deviation
+from wakefold.evidence import CoarseClass, Evidence, Fix, alive_classes, coarse_log_g, in_order
+from wakefold.kernels import components, random
+from wakefold.kernels import particles as kernel
+from wakefold.model import Model
+from wakefold.particles import (
+    LOST,
+    RECOVER,
+    START,
+    Floats,
+    Ints,
+    ParticleFilter,
+    agent_key,
+    along,
+    as_seconds,
+    elapsed,
+    pick_strata,
+)
+
+KINDS = 3  # spreads that each track is given components of
+
+
+class _Cloud(NamedTuple):
+    """Gaussian components; see ``Belief`` and ``Gaussians``."""
+
+    points: Floats
+    covs: Floats
+    spreads: Floats
+    classes: Ints
+    log_weights: Floats
+    trust: Floats
+
+
+class Calibrated(ParticleFilter):
+    """Mixture Kalman filter over the tracks: nothing about classes is left to chance.
+
+    Each particle is a track with a Gaussian for where the agent is beside it, moved by the track's velocity and
+    corrected by fixes as in a Kalman filter, so its weight is the probability of all evidence under that track. Every
+    track keeps particles of its own, up to three with different ideas of how far the agent strays, and none is ever
+    drawn away: with a straight track the filter is the Kalman filter, with several the exact mixture.
+
+    Args:
+        model: what ``wakefold.learn`` made. Its noise is not used.
+        particles: the most there are. They should be at least as many as tracks: with fewer, tracks are drawn when an
+            agent is started (or found again), and no other track is thought of.
+        sd: of a fix that does not tell its own, metres; the model's by default.
+        deviation: how agents move beside their tracks; by default what the tracks show of one another.
+        confusion: what reports of coarse evidence say about agents of each class; by default the confidence that each
+            report gives.
+        reliability: beta prior of the share of reports that are genuine, which is inferred with the class; the rest may
+            name any class. None: all are.
+        switching: share of the mass that changes to a class drawn uniformly from the tracks at each step.
+        seed: of all agents' random streams.
+
+    Raises:
+        ValueError: a setting out of range; the message names it.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        particles: int = 100,
+        *,
+        sd: float | None = None,
+        deviation: Deviation | None = None,
+        confusion: Confusion | None = None,
+        reliability: tuple[float, float] | None = (1.0, 1.0),
+        switching: float = 1e-6,
+        seed: int = 0,
+    ) -> None:
+        if not 0.0 <= switching <= 1.0:
+            raise ValueError(f"switching must be a share within [0, 1], got {switching}")
+        super().__init__(model, particles, sd=sd, depletion=switching, seed=seed)
+        self.deviation = Deviation.learn(model) if deviation is None else deviation
+        self.confusion = confusion
+        self.reliability = Reliability.certain() if reliability is None else Reliability.beta(*reliability)
+        each = self.particles // len(model.tracks)
+        self._ratios = np.unique(self.deviation.quantiles(min(KINDS, max(each, 1))))
+        self._pieces = max(each // len(self._ratios), 1)
+
+    # Prior
+
+    def start(
+        self,
+        *,
+        fix: Fix | None = None,
+        at: Literal["any", "begin"] = "any",
+        time: float | str | datetime | None = None,
+        agent: str | None = None,
+    ) -> Belief:
+        """The prior belief about an agent: class uniform over the tracks, time uniform along the track.
+
+        Args:
+            fix: the posterior after this fix instead; every track keeps its exact mass.
+            at: "any" time along the tracks, or their "begin" (as in the papers), give or take the spread.
+            time: of the belief, seconds UTC, a datetime or ISO 8601 text.
+            agent: a name; agents of different names draw different random numbers from the same seed.
+        """
+        if at not in ("any", "begin"):
+            raise ValueError(f"at must be 'any' or 'begin', got {at!r}")
+        key, tracks = agent_key(self.seed, agent), self.model.tracks
+        u = np.empty(1)
+        random.uniforms(key, 0, START, u)
+        now = None if time is None else as_seconds(time)
+        if fix is not None:
+            points, covs, spreads, classes, logs, trust = self._around(fix, np.zeros(len(tracks)), float(u[0]))
+        else:
+            points, covs, spreads, classes, logs, trust = self._along(float(u[0]), at == "begin")
+        gaussians = Gaussians(covs, spreads, trust)
+        return Belief(self.model.filtration, points, classes, logs, key, time=now, gaussians=gaussians)
+
+    def _along(self, u: float, begin: bool) -> _Cloud:
+        """Every track at its first point, or cut into equal times with components over each piece."""
+        tracks, kinds = self.model.tracks, len(self._ratios)
+        pieces = 1 if begin else self._pieces
+        if len(tracks) * kinds <= self.particles:
+            chosen = np.repeat(np.arange(len(tracks)), pieces * kinds)
+        else:  # fewer particles than tracks
+            chosen = ((np.arange(self.particles) + u) * (len(tracks) / self.particles)).astype(np.int64)
+        number = np.arange(len(chosen))
+        share = np.zeros(len(chosen)) if begin else (number // kinds % pieces + 0.5) / pieces
+        points = along(tracks, chosen, share)
+        spreads = self.deviation.scales[chosen] * self._ratios[number % kinds]
+        length = np.zeros(len(chosen)) if begin else tracks.length[chosen] / pieces
+        covs = _beside(self.model.dynamics.velocity(points, chosen), length, spreads)
+        return self._cloud(points, covs, spreads, chosen, np.zeros(len(chosen)))
+
+    def _around(self, fix: Fix, log_mass: Floats, u: float) -> _Cloud:
+        """Components at points of the tracks, corrected by a fix; each track's mass is the exact sum over its points.
+
+        Args:
+            log_mass: (M,) of the tracks before the fix.
+            u: uniform; of a track with more points than it may have components, they are drawn systematically.
+        """
+        d, tracks = self.model.dynamics, self.model.tracks
+        owner = np.repeat(self.model.filtration.order, np.diff(d.starts))
+        prior = (log_mass - np.log(tracks.lengths))[owner]
+        length = np.linalg.norm(d.velocities, axis=1) * d.interval
+        kinds: list[tuple[Floats, Floats, Floats, Ints, Floats]] = []
+        for ratio in self._ratios:
+            points, spreads = d.points.copy(), self.deviation.scales[owner] * ratio
+            covs = _beside(d.velocities, length, spreads)
+            logs, _ = self._correct(points, covs, fix)
+            if (logs + prior).max() == -math.inf:  # too many sd away for the arithmetic: the nearest points, all alike
+                away = np.abs(points - fix.on_plane(tracks.projection, d.dim)).max(axis=1)
+                away[prior == -math.inf] = math.inf
+                logs = np.where(away == away.min(), 0.0, -math.inf)
+            rows, weights = _thinned(logs + prior, d.starts, self.particles // len(self._ratios), u)
+            kinds.append((points[rows], covs[rows], spreads[rows], owner[rows], weights))
+        points, covs, spreads, classes, logs = zip(*kinds, strict=True)
+        parts = (np.concatenate(points), np.concatenate(covs), np.concatenate(spreads), np.concatenate(classes))
+        return self._cloud(*parts, np.concatenate(logs))
+
+    def _cloud(self, points: Floats, covs: Floats, spreads: Floats, classes: Ints, logs: Floats) -> _Cloud:
+        """Components with normalised weights, in the order of their tracks, and trust as at the beginning."""
+        by = np.argsort(self.model.filtration.rank[classes], kind="stable")
+        trust = np.tile(self.reliability.log_weights, (len(by), 1))
+        return _Cloud(points[by], covs[by], spreads[by], classes[by], logs[by] - kernel.log_sum(logs), trust)
+
+    # Steps
+
+    def step(
+        self,
+        belief: Belief,
+        evidence: Sequence[Evidence] = (),
+        dt: float | None = None,
+        *,
+        time: float | str | datetime | None = None,
+    ) -> Belief:
+        """The belief after ``dt`` seconds (or at ``time``) and the evidence; no evidence is a missing observation.
+
+        Raises:
+            ValueError, TypeError: evidence that does not fit the model, or a time that runs backwards.
+        """
+        tree, total = self.model.filtration, belief.log_evidence or 0.0
+        items = in_order(evidence, tree)
+        dt, now = elapsed(belief, dt, time)
+        cloud = self._opened(belief)
+        if self.depletion > 0.0:
+            components.mix_classes(cloud.log_weights, cloud.classes, self.depletion, len(tree))
+        self._advance(cloud, dt)
+        recoveries = 0
+        for level, item in items:
+            before = cloud.log_weights.copy()
+            if isinstance(item, Fix):
+                log_g, away = self._correct(cloud.points, cloud.covs, item)
+                logs = cloud.log_weights
+                logs += log_g
+                lost = not away <= LOST
+            else:
+                logs = cloud.log_weights
+                components.weigh_report(logs, *self._report(cloud, item, level), cloud.trust, self.reliability.nodes)
+                lost = False
+            gain = kernel.log_sum(logs)
+            total += gain
+            if lost or gain == -math.inf:
+                recoveries += 1
+                cloud = self._recovered(belief, cloud._replace(log_weights=before), item, level)
+            else:
+                logs -= gain
+        return Belief(
+            tree=tree,
+            points=cloud.points,
+            classes=cloud.classes,
+            log_weights=cloud.log_weights,
+            key=belief.key,
+            step=belief.step + 1,
+            time=now,
+            log_evidence=total,
+            recoveries=belief.recoveries + recoveries,
+            gaussians=Gaussians(cloud.covs, cloud.spreads, cloud.trust),
+        )
+
+    def _opened(self, belief: Belief) -> _Cloud:
+        """A copy of the components of a belief."""
+        own = belief.gaussians
+        if own is None or own.trust.shape[1] != len(self.reliability.nodes):
+            raise ValueError("the belief was made by another filter")
+        points, classes, logs = np.array(belief.points), np.array(belief.classes), np.array(belief.log_weights)
+        return _Cloud(points, np.array(own.covs), np.array(own.spreads), classes, logs, np.array(own.trust))
+
+    def _advance(self, cloud: _Cloud, dt: float) -> None:
+        """Move the components in place."""
+        dynamics, beside = self.model.dynamics, self.deviation
+        parts = dynamics.substeps(dt)
+        h = dt / max(parts, 1)
+        across2 = cloud.spreads**2 * -math.expm1(-2.0 * beside.rate * h)
+        along2 = np.maximum(beside.along**2 * h, across2)
+        motion = (parts, h, math.exp(-beside.rate * h), across2, along2)
+        components.advance(cloud.points, cloud.covs, cloud.classes, *motion, *dynamics.ground)
+
+    def _correct(self, points: Floats, covs: Floats, fix: Fix) -> tuple[Floats, float]:
+        """Correct components in place; their log-likelihoods, and how many sd the fix is away from the nearest."""
+        dynamics = self.model.dynamics
+        at = fix.on_plane(self.model.tracks.projection, dynamics.dim)
+        sd = self.sd if fix.sd is None else fix.sd
+        log_g = np.empty(len(points))
+        return log_g, components.correct(points, covs, at, sd**2 + dynamics.floor**2, log_g, dynamics.dims)
+
+    def _report(self, cloud: _Cloud, item: CoarseClass, level: float) -> tuple[Floats, float, float]:
+        """Probability of a report about an agent of each component if it is genuine, (n,), and if not; the power."""
+        if self.confusion is not None:
+            return *self.confusion.probability(item.class_, cloud.classes), self.confusion.power
+        tree = self.model.filtration
+        others = len(tree.cuts(level)) - 2
+        if others == 0:
+            return np.ones(len(cloud.classes)), 1.0, 1.0
+        above = alive_classes(tree, cloud.classes, level)
+        log_g = coarse_log_g(tree, item, level, above, "gaussian", self.model.dynamics.diagonal)
+        return np.exp(log_g), 1.0 / (others + 1), 1.0
+
+    def _recovered(self, belief: Belief, cloud: _Cloud, item: Evidence, level: float) -> _Cloud:
+        """The cloud started anew from evidence that it holds to be impossible."""
+        tracks = len(self.model.tracks)
+        if isinstance(item, Fix):
+            peak = cloud.log_weights.max()
+            mass = np.bincount(cloud.classes, np.exp(cloud.log_weights - peak), tracks)
+            mass = (1.0 - self.depletion) * mass / mass.sum() + self.depletion / tracks
+            u = np.empty(1)
+            random.uniforms(belief.key, belief.step + 1, RECOVER, u)
+            with np.errstate(divide="ignore"):
+                return self._around(item, np.log(mass), float(u[0]))
+        classes, count = np.unique(self._recover_class(belief, item, level), return_counts=True)
+        weights = np.exp(cloud.log_weights - cloud.log_weights.max())
+        weights /= weights.sum()
+        mean = weights @ cloud.points
+        away = cloud.points - mean
+        cov = np.einsum("n,nij->ij", weights, cloud.covs + away[:, :, None] * away[:, None, :])
+        n = len(classes)
+        points, covs = np.tile(mean, (n, 1)), np.tile(cov, (n, 1, 1))
+        return self._cloud(points, covs, np.full(n, weights @ cloud.spreads), classes, np.log(count.astype(np.float64)))
+
+    @overload
+    def forecast(self, belief: Belief, horizon: float) -> Belief: ...
+    @overload
+    def forecast(self, belief: Belief, horizon: Sequence[float]) -> list[Belief]: ...
+    def forecast(self, belief: Belief, horizon: float | Sequence[float]) -> Belief | list[Belief]:
+        """The belief about ``horizon`` seconds from now without evidence; several horizons, in rising order, a list."""
+        one = isinstance(horizon, (int, float))
+        horizons = [float(horizon)] if one else [float(h) for h in horizon]
+        cloud, done, out = self._opened(belief), 0.0, []
+        for h in horizons:
+            if not h >= done:
+                raise ValueError(f"horizons must be seconds >= 0 in rising order, got {h} after {done}")
+            self._advance(cloud, h - done)
+            done = h
+            time = None if belief.time is None else belief.time + h
+            gaussians = Gaussians(cloud.covs.copy(), cloud.spreads, cloud.trust)
+            out.append(replace(belief, points=cloud.points.copy(), gaussians=gaussians, time=time))
+        return out[0] if one else out
+
+    def genuine(self, belief: Belief) -> float:
+        """Expected share of genuine reports, given all there were; 1 when reports are taken to be genuine."""
+        return float(belief.weights @ np.exp(self._opened(belief).trust) @ self.reliability.nodes)
+
+
+def _beside(velocity: Floats, length: Floats, spreads: Floats) -> Floats:
+    """Covariances (n, d, d) of the prior beside a track: the spread (n,), and even over a length (n,) along it."""
+    speed2 = np.square(velocity).sum(axis=1)
+    stretch = np.divide(length**2 / 12.0, speed2, out=np.zeros_like(length), where=speed2 > 0)
+    covs = stretch[:, None, None] * velocity[:, :, None] * velocity[:, None, :]
+    return covs + np.eye(velocity.shape[1]) * np.square(spreads)[:, None, None]
+
+
+def _thinned(logs: Floats, starts: Ints, particles: int, u: float) -> tuple[Ints, Floats]:
+    """Points that become components, and their log-weights.
+
+    Of every track (its points are ``starts[k]:starts[k + 1]``) as many as it may have, drawn systematically, share its
+    exact mass; with fewer particles than tracks, points are drawn from all of them.
+    """
+    tracks = len(starts) - 1
+    most = particles // tracks
+    one = np.array([u])
+    if most == 0:
+        rows, count = np.unique(pick_strata(logs, one, particles), return_counts=True)
+        return rows, np.log(count)
+    rows, weights = [], []
+    for first, last in itertools.pairwise(starts):
+        mass = kernel.log_sum(logs[first:last])
+        if mass > -math.inf:
+            found, count = np.unique(pick_strata(logs[first:last], one, most), return_counts=True)
+            rows.append(first + found)
+            weights.append(mass + np.log(count / most))
+    return np.concatenate(rows), np.concatenate(weights)
