@@ -26,7 +26,7 @@ PUBLISHED = (Method("mhpf", "log", "arxiv2016"), Method("mhpf", "log", "gsi2017"
 BL1, BL1_COARSE, BL2 = Method("bl1"), Method("bl1+coarse"), Method("bl2")
 LOG = (*PUBLISHED, BL1, BL1_COARSE, BL2)
 MATCHED = tuple(method._replace(likelihood="gaussian") for method in LOG)
-METHODS = (*LOG, *MATCHED)
+METHODS = (*LOG, *MATCHED, Method("calibrated", "gaussian"))
 LOOKS = {  # colour, marker
     "mhpf arxiv2016": ("#b2182b", "o"),
     "mhpf gsi2017": ("#ef8a62", "s"),

@@ -166,7 +166,7 @@ class Scenario:
 
         def report(positions: Floats, rng: np.random.Generator) -> NDArray[np.int64]:
             samples = positions[:, None] + scale * rng.normal(size=(len(positions), SAMPLES, positions.shape[1]))
-            return np.array([self.namer.best(some).class_ for some in samples])
+            return self.namer.classes(samples)
 
         return report
 
