@@ -129,7 +129,7 @@ def test_a_belief_that_was_pickled_has_its_coarse_sets(model):
 
     f = wf.MHPF(model, 50, seed=1)
     belief = f.step(f.start(), [wf.Fix((1.0, 2.0), sd=5.0)], dt=3 * model.dynamics.interval)
-    again = pickle.loads(pickle.dumps(belief))
+    again = pickle.loads(pickle.dumps(belief))  # noqa: S301 (our own)
     assert len(pickle.dumps(again)) < 200_000  # not the model that the sets are worked out from
     assert np.array_equal(again.stack.points, belief.stack.points)
     assert np.array_equal(again.mean("stack"), belief.mean("stack"))
