@@ -20,7 +20,7 @@ from wakefold.company import Beside, Reunion, beside, hide, learn_company, reuni
 from wakefold.experiments.registry import Job, Section, Size
 from wakefold.experiments.walking_rivals import Logistic, Rule, f1, features, within
 from wakefold.io.pedestrians import FRAME, SCENES, PedestrianScene, read_scenes
-from wakefold.relations_fit import Crowd, TogetherFit, crowd, fit
+from wakefold.relations_fit import Crowd, SceneConstants, TogetherFit, crowd, fit
 from wakefold.walkers import Walkers, follow
 
 TITLE = "Real people: who walks with whom"
@@ -154,6 +154,7 @@ def recognise(test: Known, others: list[Known], rng: np.random.Generator) -> tup
             for name in ("rule", "logistic")
         },
         "without_friends": f1(truth, causal > 0.5),
+        "second_half": second_half(test, constants, own),
         "own_labels": within(test.table, truth, seed=int(rng.integers(2**31))),
         "settings": settings,
         "rule": [rule.distance, rule.difference, rule.share],
@@ -163,6 +164,17 @@ def recognise(test: Known, others: list[Known], rng: np.random.Generator) -> tup
         "calibration": calibration(p[near], truth[near]),
         "calibration_logistic": calibration(rival.probability(test.table)[near], truth[near]),
     }, beliefs
+
+
+def second_half(test: Known, constants: TogetherFit, own: SceneConstants) -> dict[str, float]:
+    """F1 of the pairs that begin after the scene's middle, with the scene's constants from all of it, from its first
+    half alone (as a filter that runs along would have them), and with those of the training scenes.
+    """
+    middle = int(test.walkers.begin.min() + test.walkers.end.max()) // 2
+    early = constants.settle(crowd(test.walkers.until(middle)))
+    late = test.crowd.pairs.begin >= middle
+    settings = {"whole": own, "first": early, "none": SceneConstants(constants.spacing, constants.between, 0.0)}
+    return {k: f1(test.truth[late], constants.posterior(test.crowd, c)[late] > 0.5) for k, c in settings.items()}
 
 
 def calibration(p: Floats, truth: Bools, bins: int = 10) -> dict[str, Any]:
