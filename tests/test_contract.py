@@ -36,6 +36,7 @@ STOREYS = [
     ["dendrogram", "distance", "features", "spanning"],
     ["company", "relations_fit"],
     ["walkers"],
+    ["stops"],
     ["tracks", "shaping"],
     ["ragged", "sketch", "projection", "units", "smoothing"],
     ["store"],
