@@ -1,8 +1,8 @@
-"""The settings of the rendezvous experiment, chosen on scenes of their own: ``python -m benchmarks.rendezvous_settings``.
+"""How the settings of the rendezvous experiment were chosen: ``python -m benchmarks.rendezvous_settings``.
 
-Every recogniser is tried with each of its settings on the same tuning scenes (hard negatives, noise of 200 m): it learns
-from 60 and is judged, by F1 at the threshold of the training part, on 150 others; twice. The settings it prints are those
-in ``wakefold.experiments.rendezvous``; none of the scenes is used there.
+Every hidden Markov model is tried with each of its settings on the same tuning scenes (hard negatives, noise of 200 m):
+it learns from 60 and is judged, by F1 at the threshold of the training part, on 150 others; twice. None of these scenes
+is among those of ``wakefold.experiments.rendezvous``.
 """
 
 from __future__ import annotations
@@ -34,7 +34,10 @@ def main() -> None:
     found: dict[tuple, list[float]] = {}
     for train, judge in folds:
         for set_, q in [("received", 0.0), *product(("filtered", "smoothed"), QS)]:
-            views = [received(s) if set_ == "received" else kalman(s, SD, q, smooth=set_ == "smoothed") for s in (train, judge)]
+            views = [
+                received(s) if set_ == "received" else kalman(s, SD, q, smooth=set_ == "smoothed")
+                for s in (train, judge)
+            ]
             x, asked = map(features, views)
             for method, states in product((two_class, phased, decoded), (2, 4, 6)):
                 scores, ours = method(x, train, asked, States(states, states), np.random.default_rng(SEED))

@@ -22,7 +22,7 @@ from wakefold import cli, cli_track
 from wakefold.observations import Observation
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-COMMANDS = ("learn", "track", "show", "info", "demo")
+COMMANDS = ("learn", "track", "show", "info", "demo", "relations")
 WAKEFOLD = [sys.executable, "-m", "wakefold"]
 
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import typer
 
-from wakefold import __version__, cli_options, cli_support
+from wakefold import __version__, cli_options, cli_relations, cli_support
 from wakefold.cli_support import fail, guarded, level_table, model_facts, naming, progress, say
 
 MOST_POINTS = 20_000_000  # of a model: far more than can be compared
@@ -413,6 +413,9 @@ def reproduce(
     with progress("reproducing") as update:
         page = run(figures or [], size, out, Processes(processes), update)
     say(f"wrote {page}")
+
+
+app.command()(cli_relations.relations)
 
 
 def main() -> None:

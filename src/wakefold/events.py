@@ -1,8 +1,9 @@
 """What ships do together and alone: encounters, rendezvous, convoys, loitering, port visits.
 
-The words are those of Global Fishing Watch (Miller et al. 2018, "Identifying global patterns of transshipment behavior",
-Frontiers in Marine Science 5:240: an encounter is two vessels within 500 m at under 2 knots for 2 hours). The relations
-of pairs come from the relational filter, engine "collapsed"; an event is where a relation is probable for long enough.
+The words are those of Global Fishing Watch (Miller et al. 2018, "Identifying global patterns of transshipment
+behavior", Frontiers in Marine Science 5:240: an encounter is two vessels within 500 m at under 2 knots for 2 hours).
+The relations of pairs come from the relational filter, engine "collapsed"; an event is where a relation is probable for
+long enough.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from scipy.special import ndtr
 
 from wakefold.activities import taken_place
@@ -161,9 +162,7 @@ class _Pairs(NamedTuple):
     lasted: Floats
 
 
-def find(
-    tracks: Tracks, settings: Settings | None = None, *, progress: Callable[[float], None] | None = None
-) -> Found:
+def find(tracks: Tracks, settings: Settings | None = None, *, progress: Callable[[float], None] | None = None) -> Found:
     """All events of ships.
 
     Args:
@@ -178,7 +177,7 @@ def find(
     m = moments(tracks, s.period, s.gap)
     lying = stops(m)
     at = berths(lying, s.period)
-    berth = cKDTree(at) if len(at) else None
+    berth = KDTree(at) if len(at) else None
     found, at_berths = [], 0
     relations = _relations(m, s, progress)
     for name, least, rows in (("together", s.together, relations[0]), ("convoy", s.convoy, relations[1])):
@@ -242,6 +241,8 @@ def _of_pairs(m: Moments, name: str, least: float, r: _Pairs, s: Settings) -> li
             continue
         away = np.linalg.norm(m.position[here] - m.position[there], axis=1)
         speed = np.linalg.norm(np.concatenate([m.velocity[here], m.velocity[there]]), axis=1)
+        if name == "convoy" and np.median(speed) < s.slow:  # ships that drift together do not sail
+            continue
         kind = name
         if name == "together":
             kind = "rendezvous" if _came_and_went(m, a, b, int(frames[0]), int(frames[-1]), s) else "encounter"
@@ -281,11 +282,11 @@ def _came_and_went(m: Moments, a: int, b: int, first: int, last: int, s: Setting
     return all(sides)
 
 
-def _at_berth(place: Floats, berth: cKDTree | None, radius: float) -> bool:
+def _at_berth(place: Floats, berth: KDTree | None, radius: float) -> bool:
     return berth is not None and bool(np.isfinite(berth.query(place, distance_upper_bound=radius)[0]))
 
 
-def _alone(m: Moments, pairs: list[Event], berth: cKDTree | None, s: Settings) -> list[Event]:
+def _alone(m: Moments, pairs: list[Event], berth: KDTree | None, s: Settings) -> list[Event]:
     """Loitering and port visits: ships that are slow for long, by themselves or at a berth.
 
     The probability of being slow is that of the smoothed velocity, whose error is Gaussian and alike on both axes; the

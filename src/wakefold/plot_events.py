@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_rgba
-from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -51,7 +51,7 @@ def event(
     box = _square(places)
     panels = 3 if len(paths) > 1 else 2
     figure = Figure(figsize=(10.5, 5.0), layout="constrained")
-    left, right = figure.subfigures(1, 2, width_ratios=[1, 1])
+    left, right = cast(Any, figure.subfigures(1, 2))
     ax = left.subplots()
     ground(ax, box, projection, coastline)
     if len(found.berths):
@@ -66,24 +66,28 @@ def event(
     span = (event.end - event.begin) / 60
     ax.set_title(f"{event.kind}, {span:.0f} min, probability {event.probability:.2f}")
 
+    begun = np.datetime64(round(event.begin), "s")
+
+    def minutes(times: NDArray[np.float64]) -> NDArray[np.float64]:
+        return (times - event.begin) / 60
+
     rows = right.subplots(panels, 1, sharex=True)
     for panel in rows:
-        panel.axvspan(_date(event.begin), _date(event.end), color="#eef2f5", zorder=0)
+        panel.axvspan(0.0, span, color="#eef2f5", zorder=0)
     if len(paths) > 1:
         clock, ours, theirs = np.intersect1d(paths[0][1], paths[1][1], return_indices=True)
         away = np.linalg.norm(paths[0][2][ours] - paths[1][2][theirs], axis=1)
-        rows[0].semilogy(_date(clock), np.maximum(away, 1.0), color=INK, linewidth=1)
+        rows[0].plot(minutes(clock), np.maximum(away, 1.0), color=INK, linewidth=1)
+        rows[0].set_yscale("log")
         rows[0].set_ylabel("distance (m)")
     for (_, times, _, speed), colour in zip(paths, PALETTE, strict=False):
-        rows[-2].plot(_date(times), speed, color=colour, linewidth=1)
+        rows[-2].plot(minutes(times), speed, color=colour, linewidth=1)
     rows[-2].set_ylabel("speed (kn)")
     rows[-2].set_ylim(bottom=0)
-    rows[-1].plot(_date(event.times), event.chance, color=INK, linewidth=1)
+    rows[-1].plot(minutes(event.times), event.chance, color=INK, linewidth=1)
     rows[-1].set_ylim(-0.02, 1.02)
     rows[-1].set_ylabel("probability")
-    locator = AutoDateLocator(maxticks=6)
-    rows[-1].xaxis.set_major_locator(locator)
-    rows[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))
+    rows[-1].set_xlabel(f"minutes from {str(begun).replace('T', ' ')} UTC")
     return figure
 
 
@@ -104,7 +108,7 @@ def _pieces(times: NDArray[np.float64]) -> list[tuple[int, int]]:
         return [(0, len(times))]
     cuts = np.flatnonzero(np.diff(times) > 1.5 * np.diff(times).min()) + 1
     edges = [0, *cuts.tolist(), len(times)]
-    return list(zip(edges[:-1], edges[1:], strict=True))
+    return list(pairwise(edges))
 
 
 def _square(places: NDArray[np.float64]) -> tuple[float, float, float, float]:
@@ -113,7 +117,3 @@ def _square(places: NDArray[np.float64]) -> tuple[float, float, float, float]:
     half = max((x1 - x0) / 2, SHORTEST / 2)
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
     return x - half, y - half, x + half, y + half
-
-
-def _date(times: float | NDArray[np.float64]) -> NDArray[np.datetime64]:
-    return (np.asarray(times) * 1000).astype("datetime64[ms]")

@@ -6,13 +6,14 @@ before and after, at most ``gap`` seconds apart.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from wakefold.smoothing import constant_velocity
 from wakefold.tracks import Tracks
@@ -51,7 +52,7 @@ class Moments(NamedTuple):
     velocity: Floats
     spread: Floats
 
-    def time(self, frame: int | Ints) -> float | Floats:
+    def time(self, frame: int | Ints) -> Any:
         """Seconds UTC of a moment."""
         return self.begin + self.period * frame
 
@@ -139,19 +140,19 @@ def runs(agent: Ints, frame: Ints, holds: NDArray[np.bool_], longest_hole: int) 
         return []
     new = (np.diff(agent[rows]) != 0) | (np.diff(frame[rows]) > longest_hole + 1)
     edges = np.concatenate([[0], np.flatnonzero(new) + 1, [len(rows)]])
-    return [(int(rows[a]), int(rows[b - 1]) + 1) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return [(int(rows[a]), int(rows[b - 1]) + 1) for a, b in pairwise(edges)]
 
 
 def berths(found: list[Stop], period: float) -> Floats:
     """``(B, 2)`` stops that are at berths, metres: where somebody was tied up, or where agents lay at different times.
 
     Stops closer than ``TOUCH`` are at one place. A place is a berth if a stop of ``LONG`` seconds there kept within
-    ``TIED`` metres (at anchor a ship swings), or if it was used, left by everybody for ``EMPTY`` seconds, and used again.
+    ``TIED`` metres (at anchor a ship swings), or if it was used, left by all for ``EMPTY`` seconds, and used again.
     """
     if not found:
         return np.empty((0, 2))
     places = np.array([stop.place for stop in found])
-    pairs = cKDTree(places).query_pairs(TOUCH, output_type="ndarray")
+    pairs = KDTree(places).query_pairs(TOUCH, output_type="ndarray")
     graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(found), len(found)))
     _, place = connected_components(graph, directed=False)
     chosen = np.zeros(len(found), dtype=bool)

@@ -29,6 +29,7 @@ FIGURES: dict[str, str] = {
     "fig9": "fig9",
     "ablation": "ablation",
     "walking": "walking",
+    "rendezvous": "rendezvous",
 }
 
 
