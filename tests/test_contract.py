@@ -15,6 +15,7 @@ STOREYS = [
     ["observations", "export"],
     ["experiments.*"],
     ["plot*", "datasets"],
+    ["events"],
     ["filters.*"],
     ["collapsed", "joint"],
     ["blocks"],

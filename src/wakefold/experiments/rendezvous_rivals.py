@@ -102,10 +102,10 @@ class Rule(NamedTuple):
     slow: float
 
 
-def near_and_slow(motion: Motion, rule: Rule) -> Floats:
+def near_and_slow(view: Motion, rule: Rule) -> Floats:
     """``(n,)`` seconds of the longest time without a break that two ships were near and slow."""
-    distance = np.linalg.norm(motion.position[:, 0] - motion.position[:, 1], axis=-1)
-    speed = np.linalg.norm(motion.velocity, axis=-1).max(axis=1)
+    distance = np.linalg.norm(view.position[:, 0] - view.position[:, 1], axis=-1)
+    speed = np.linalg.norm(view.velocity, axis=-1).max(axis=1)
     holds = (distance < rule.near) & (speed < rule.slow)
     run, longest = np.zeros(len(holds)), np.zeros(len(holds))
     for t in range(holds.shape[1]):
@@ -117,11 +117,11 @@ def near_and_slow(motion: Motion, rule: Rule) -> Floats:
 # Hidden Markov models
 
 
-def features(motion: Motion) -> list[Floats]:
+def features(view: Motion) -> list[Floats]:
     """Of each scene ``(T, 3)``: logarithms of the distance, of the faster ship's speed, of the relative speed."""
-    distance = np.linalg.norm(motion.position[:, 0] - motion.position[:, 1], axis=-1)
-    speed = np.linalg.norm(motion.velocity, axis=-1).max(axis=1)
-    relative = np.linalg.norm(motion.velocity[:, 0] - motion.velocity[:, 1], axis=-1)
+    distance = np.linalg.norm(view.position[:, 0] - view.position[:, 1], axis=-1)
+    speed = np.linalg.norm(view.velocity, axis=-1).max(axis=1)
+    relative = np.linalg.norm(view.velocity[:, 0] - view.velocity[:, 1], axis=-1)
     return list(np.log(np.stack([distance + 10.0, speed + 0.1, relative + 0.1], axis=-1)))
 
 
