@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -126,9 +127,11 @@ class Processes:
                 if progress:
                     progress(done / len(items))
             return [future.result() for future in futures]
-        except BaseException:
+        except BaseException as error:
             for worker in set(mp.active_children()) - others:
                 worker.terminate()
+            if isinstance(error, BrokenProcessPool):
+                raise ChildProcessError("a worker process was killed, perhaps for lack of memory") from None
             raise
         finally:
             pool.shutdown(wait=False, cancel_futures=True)

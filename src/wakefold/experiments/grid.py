@@ -15,7 +15,16 @@ from wakefold import plot
 from wakefold.experiments.registry import Claim, Job, Picture, Size, Table
 from wakefold.experiments.scenarios import Setting
 from wakefold.experiments.simulate import Method, Scores, job, scores
-from wakefold.experiments.stats import half_width, mean_text, p_text, ratio_text, scenario_means, wilcoxon
+from wakefold.experiments.stats import (
+    half_width,
+    mean_text,
+    number,
+    p_text,
+    ratio_interval,
+    ratio_text,
+    scenario_means,
+    wilcoxon,
+)
 from wakefold.plot_map import styled
 
 Floats = NDArray[np.float64]
@@ -26,7 +35,8 @@ PUBLISHED = (Method("mhpf", "log", "arxiv2016"), Method("mhpf", "log", "gsi2017"
 BL1, BL1_COARSE, BL2 = Method("bl1"), Method("bl1+coarse"), Method("bl2")
 LOG = (*PUBLISHED, BL1, BL1_COARSE, BL2)
 MATCHED = tuple(method._replace(likelihood="gaussian") for method in LOG)
-METHODS = (*LOG, *MATCHED, Method("calibrated", "gaussian"))
+CALIBRATED = Method("calibrated", "gaussian")
+METHODS = (*LOG, *MATCHED, CALIBRATED)
 LOOKS = {  # colour, marker
     "mhpf arxiv2016": ("#b2182b", "o"),
     "mhpf gsi2017": ("#ef8a62", "s"),
@@ -164,6 +174,23 @@ def paired(table: Found, settings: Sequence[Setting], a: Method, b: Method, scor
     below = int((x.mean(axis=1) < y.mean(axis=1)).sum())
     return Paired(
         below, len(settings), ratio_text(x.mean(axis=0), y.mean(axis=0)), wilcoxon(x.mean(axis=0), y.mean(axis=0))
+    )
+
+
+def claim_calibrated(table: Found, settings: Sequence[Setting], score: str, what: str, bound: float) -> Claim:
+    """That in each setting ``calibrated`` is at most a share of the better published rule; ours, not the papers'."""
+    shares, p = [], 0.0
+    for setting in settings:
+        best = min((means(table, setting, m, score) for m in PUBLISHED), key=lambda x: float(x.mean()))
+        ours = means(table, setting, CALIBRATED, score)
+        shares.append(ratio_interval(ours, best))
+        p = max(p, wilcoxon(ours, best))
+    return Claim(
+        f"calibrated: {what} at most {bound:g} of the better published rule's, in each setting, truth left out",
+        "no such filter",
+        ", ".join("{} [{}, {}]".format(*map(number, share)) for share in shares),
+        f"largest {p_text(p)}",
+        HOLDS if all(share[0] <= bound for share in shares) else FAILS,
     )
 
 

@@ -53,6 +53,7 @@ def report(results: list[Any], size: Size, folder: Path) -> Section:
             ", ".join(number(float(x.std(ddof=1) / x.mean())) for x in spread) + " (arxiv2016, truth left out)",
         )
     )
+    claims.append(grid.claim_calibrated(found, [JUDGED], "mse", "MSE", 0.25))
     panels = [
         (f"truth {NOISE['truth'](s)}, ψ = {s.psi:.0%}", [s._replace(kappa=k) for k in LEVELS])
         for s in (Setting("ways", t, 0.0, p) for t, p in product(("out", "in"), LEVELS))
