@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wakefold.confusion import Confusion, Reporter
+from wakefold.confusion import Confusion
 from wakefold.evidence import CoarseClass, Evidence, Fix
 from wakefold.experiments.registry import Job, Size
 from wakefold.experiments.scenarios import Observed, Scenario, Setting, chosen
@@ -44,8 +44,8 @@ class Method(NamedTuple):
         return " ".join(part for part in (title, self.rule, self.likelihood) if part)
 
 
-def make(method: Method, model: Model, particles: int, seed: int, reporter: Reporter | None = None) -> Any:
-    """The filter a method names; ``reporter`` makes the coarse reports, where there are any."""
+def make(method: Method, model: Model, particles: int, seed: int, confusion: Confusion | None = None) -> Any:
+    """The filter a method names; ``confusion`` is what reports are worth, for those who know."""
     settings: dict[str, Any] = {"likelihood": method.likelihood, "seed": seed}
     match method.filter:
         case "mhpf":  # of all sets, as the papers have it, so that the stack's estimate is the papers'
@@ -55,7 +55,6 @@ def make(method: Method, model: Model, particles: int, seed: int, reporter: Repo
         case "bl2":
             return BL2(model, particles, **settings)
         case "calibrated":
-            confusion = None if reporter is None else Confusion.learn(model, reporter, seed=seed)
             return Calibrated(model, particles, confusion=confusion, seed=seed)
     raise ValueError(f"no filter {method.filter!r}")
 
@@ -108,7 +107,8 @@ def run(spec: dict[str, Any]) -> dict[str, Any]:
     rows = []
     for truth in chosen(setting.data, spec["scenarios"], seed):
         scenario = _scenario(setting, truth)
-        f = make(method, scenario.model, spec["particles"], seed, scenario.reporter)
+        told = setting.coarse > 0.0 and method.filter == "calibrated"
+        f = make(method, scenario.model, spec["particles"], seed, confusion(setting, truth, seed) if told else None)
         rows.append(
             [
                 follow(f, scenario, _observed(setting, truth, seed, r), f"{truth}/{r}", spec["stack"])
@@ -124,6 +124,19 @@ def run(spec: dict[str, Any]) -> dict[str, Any]:
 
 # A worker meets the same scenario again with another method.
 _scenario = lru_cache(maxsize=64)(Scenario)
+
+
+def confusion(setting: Setting, truth: int, seed: int) -> Confusion:
+    """What reports are worth, learned by simulation from the training tracks, as if none of them were wrong."""
+    return _confusion(setting._replace(kappa=0.0, coarse=1.0, lead_in=None, wrong=0.0, epsilon="default"), truth, seed)
+
+
+@lru_cache(maxsize=64)
+def _confusion(setting: Setting, truth: int, seed: int) -> Confusion:
+    scenario = _scenario(setting, truth)
+    assert scenario.reporter is not None
+    draws = 8 if len(scenario.model.tracks) < 100 else 1  # the rest of a report's chance is the samples' scatter
+    return Confusion.learn(scenario.model, scenario.reporter, draws=draws, seed=seed)
 
 
 @lru_cache(maxsize=512)
