@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wakefold.confusion import Confusion
+from wakefold.deviation import Deviation
 from wakefold.evidence import CoarseClass, Evidence, Fix
 from wakefold.experiments.registry import Job, Size
 from wakefold.experiments.scenarios import Observed, Scenario, Setting, chosen
@@ -44,8 +45,15 @@ class Method(NamedTuple):
         return " ".join(part for part in (title, self.rule, self.likelihood) if part)
 
 
-def make(method: Method, model: Model, particles: int, seed: int, confusion: Confusion | None = None) -> Any:
-    """The filter a method names; ``confusion`` is what reports are worth, for those who know."""
+class Known(NamedTuple):
+    """What the calibrated filter has learned beforehand; None for what it is to learn itself, or not to know."""
+
+    deviation: Deviation | None = None
+    confusion: Confusion | None = None
+
+
+def make(method: Method, model: Model, particles: int, seed: int, known: Known | None = None) -> Any:
+    """The filter a method names; ``known`` is what the calibrated one has learned beforehand."""
     settings: dict[str, Any] = {"likelihood": method.likelihood, "seed": seed}
     match method.filter:
         case "mhpf":  # of all sets, as the papers have it, so that the stack's estimate is the papers'
@@ -55,7 +63,8 @@ def make(method: Method, model: Model, particles: int, seed: int, confusion: Con
         case "bl2":
             return BL2(model, particles, **settings)
         case "calibrated":
-            return Calibrated(model, particles, confusion=confusion, seed=seed)
+            known = known or Known()
+            return Calibrated(model, particles, deviation=known.deviation, confusion=known.confusion, seed=seed)
     raise ValueError(f"no filter {method.filter!r}")
 
 
@@ -107,8 +116,8 @@ def run(spec: dict[str, Any]) -> dict[str, Any]:
     rows = []
     for truth in chosen(setting.data, spec["scenarios"], seed):
         scenario = _scenario(setting, truth)
-        told = setting.coarse > 0.0 and method.filter == "calibrated"
-        f = make(method, scenario.model, spec["particles"], seed, confusion(setting, truth, seed) if told else None)
+        known = knowledge(setting, truth, seed) if method.filter == "calibrated" else None
+        f = make(method, scenario.model, spec["particles"], seed, known)
         rows.append(
             [
                 follow(f, scenario, _observed(setting, truth, seed, r), f"{truth}/{r}", spec["stack"])
@@ -126,17 +135,25 @@ def run(spec: dict[str, Any]) -> dict[str, Any]:
 _scenario = lru_cache(maxsize=64)(Scenario)
 
 
-def confusion(setting: Setting, truth: int, seed: int) -> Confusion:
-    """What reports are worth, learned by simulation from the training tracks, as if none of them were wrong."""
-    return _confusion(setting._replace(kappa=0.0, coarse=1.0, lead_in=None, wrong=0.0, epsilon="default"), truth, seed)
+def knowledge(setting: Setting, truth: int, seed: int) -> Known:
+    """Learned from the training tracks, by simulation as if no report were wrong; the same for all noises κ."""
+    alike = setting._replace(kappa=0.0, lead_in=None, wrong=0.0, epsilon="default", coarse=float(setting.coarse > 0.0))
+    deviation = _deviation(setting.data, setting.linkage, truth if setting.truth == "out" else None)
+    return Known(deviation, _confusion(alike, truth, seed) if setting.coarse else None)
+
+
+@lru_cache(maxsize=64)
+def _deviation(data: str, linkage: str, without: int | None) -> Deviation:
+    setting = Setting(data, "in" if without is None else "out", 0.0, 0.01, linkage=linkage)
+    return Deviation.learn(Scenario(setting, without or 0).model)
 
 
 @lru_cache(maxsize=64)
 def _confusion(setting: Setting, truth: int, seed: int) -> Confusion:
     scenario = _scenario(setting, truth)
     assert scenario.reporter is not None
-    draws = 8 if len(scenario.model.tracks) < 100 else 1  # the rest of a report's chance is the samples' scatter
-    return Confusion.learn(scenario.model, scenario.reporter, draws=draws, seed=seed)
+    deviation = _deviation(setting.data, setting.linkage, truth if setting.truth == "out" else None)
+    return Confusion.learn(scenario.model, scenario.reporter, deviation=deviation, seed=seed)
 
 
 @lru_cache(maxsize=512)
