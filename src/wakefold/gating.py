@@ -136,9 +136,9 @@ def exist(existence: Floats, seen: NDArray[np.bool_], chance: Floats) -> Floats:
 
 
 def motions(model: RelationalModel, kinds: Ints, dt: float) -> Floats:
-    """``(n, 5)`` motion of each object on its own."""
+    """``(n, 7)`` motion of each object on its own."""
     q = diffusions(model)
-    return np.array([row(0.0, x * x, dt) for x in q]).reshape(-1, 5)[kinds]
+    return np.array([row(0.0, 0.0, x * x, dt) for x in q])[kinds]
 
 
 def diffusions(model: RelationalModel) -> list[float]:
@@ -147,12 +147,12 @@ def diffusions(model: RelationalModel) -> list[float]:
 
 
 def relative_motions(model: RelationalModel, relation: Relation, dt: float) -> Floats:
-    """``(2, 5)`` motion of the difference of two objects, unrelated and related."""
+    """``(2, 7)`` motion of the difference of two objects, unrelated and related."""
     q = [model.objects[kind] for kind in relation.pair]
     apart = sum(m.q**2 for m in q if isinstance(m, ConstantVelocity))
-    alone = row(0.0, apart, dt)
+    alone = row(0.0, 0.0, apart, dt)
     how = relation.couples
-    return np.array([alone, alone if how is None else row(how.k, how.noise**2, dt)])
+    return np.array([alone, alone if how is None else row(how.k, how.pull, how.noise**2, dt)])
 
 
 def switches(relation: Relation, dt: float) -> Floats:

@@ -12,6 +12,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from wakefold.activities import advance
 from wakefold.association import GATE, TINY
@@ -95,7 +96,7 @@ def _look(
         The objects with their existence; detections of new objects; gain of log evidence; recoveries.
     """
     count, _, n, d = particles.mean.shape
-    chance = _chances(particles, scan)
+    chance, shift, share = _chances(particles, scan)
     u = rng.random((count, n))
     if scan.ids is not None:
         found, fresh = match(objects.ids, scan)
@@ -144,8 +145,8 @@ def _look(
             detected, 1.0, exist(np.broadcast_to(existence[members], detected.shape), detected, chance[:, members])
         )
         existence[members] = weights @ still
-        share = weights @ detected
-        unseen[members] = np.where(share >= 0.5, 0.0, unseen[members])
+        _unseen(mean, cov, ~detected, shift[:, members], share[:, members])
+        unseen[members] = np.where(weights @ detected >= 0.5, 0.0, unseen[members])
         if scan.ids is None:
             for k, j in enumerate(offered):
                 owned[j] = weights @ np.any(choice == k, axis=1)
@@ -157,21 +158,48 @@ def _look(
     return objects._replace(existence=existence, unseen=unseen), fresh, evidence, recoveries
 
 
-def _chances(particles: Particles, scan: Detections) -> Floats:
-    """``(M, n)`` probability that each object is detected, over its Gaussian by the unscented rule."""
-    count, _, n, d = particles.mean.shape
+# Middles of seven parts of equal probability of a normal law, scaled to variance 1: where detect_prob is asked.
+_PARTS = ndtri((np.arange(7) + 0.5) / 7)
+_NODES = np.stack(np.meshgrid(_PARTS, _PARTS), axis=-1).reshape(-1, 2) / _PARTS.std()
+
+
+def _chances(particles: Particles, scan: Detections) -> tuple[Floats, Floats, Floats]:
+    """What it tells of each object that it is, or is not, detected.
+
+    Returns:
+        ``(M, n)`` probability that it is detected; ``(M, n, 2)`` and ``(M, n)`` how far its mean moves, and the share
+        of its variance that is left, if it is not: somebody unseen is where one cannot see.
+    """
+    count, _, n, _ = particles.mean.shape
+    still = np.zeros((count, n, 2)), np.ones((count, n))
     if not callable(scan.detect_prob) or n == 0:
-        return np.full((count, n), scan.detect_prob if not callable(scan.detect_prob) else 0.0)
+        return np.full((count, n), 0.0 if callable(scan.detect_prob) else scan.detect_prob), *still
     own = np.arange(n)
-    reach = np.sqrt(3.0 * np.maximum(particles.cov[:, own, own], 0.0))
-    x = particles.mean[:, 0]
-    out = (1.0 - d / 3.0) * scan.chance(x.reshape(-1, d)).reshape(count, n)
-    for axis in range(d):
-        for sign in (-1.0, 1.0):
-            moved = x.copy()
-            moved[:, :, axis] += sign * reach
-            out += scan.chance(moved.reshape(-1, d)).reshape(count, n) / 6.0
-    return np.clip(out, 0.0, 1.0)
+    variance = np.maximum(particles.cov[:, own, own], 0.0)
+    away = np.sqrt(variance)[:, :, None, None] * _NODES  # (M, n, nodes, 2)
+    asked = particles.mean[:, 0, :, None] + away
+    chance = scan.chance(asked.reshape(-1, 2)).reshape(count, n, len(_NODES))
+    missed = np.maximum(1.0 - chance, TINY)
+    missed /= missed.sum(axis=2, keepdims=True)
+    shift = (missed[:, :, None] @ away)[:, :, 0]
+    left = (missed * (away**2).sum(axis=3)).sum(axis=2) - (shift**2).sum(axis=2)
+    share = np.divide(left, 2.0 * variance, out=np.ones_like(left), where=variance > 0.0)
+    return chance.mean(axis=2), shift, np.clip(share, 0.05, 1.0)
+
+
+def _unseen(mean: Floats, cov: Floats, missed: NDArray[np.bool_], shift: Floats, share: Floats) -> None:
+    """Move and narrow a block's Gaussians by what it tells that objects were not detected, in place.
+
+    Args:
+        mean, cov: ``(M, 2 size, 2)``, ``(M, 2 size, 2 size)``.
+        missed: ``(M, size)``; shift, share: as ``_chances`` gives them.
+    """
+    for i in range(missed.shape[1]):
+        at = np.flatnonzero(missed[:, i] & ((share[:, i] < 0.999) | (shift[:, i] != 0.0).any(axis=1)))
+        at = at[cov[at, i, i] > 0.0]
+        gain = cov[at, :, i] / cov[at, i, i, None]
+        mean[at] += gain[:, :, None] * shift[at, None, i]
+        cov[at] -= ((1.0 - share[at, i]) * cov[at, i, i])[:, None, None] * gain[:, :, None] * gain[:, None]
 
 
 def _offers(objects: Objects, particles: Particles, scan: Detections) -> list[Ints]:

@@ -85,29 +85,38 @@ class Coupling:
     Attributes:
         k: rate at which the difference of the velocities decays, 1/s.
         noise: diffusion of that difference, m/s per square root of a second.
+        pull: how strongly distance draws them together, 1/s².
         mutual: both give way (couple), or the first alone (follow).
     """
 
     k: float
     noise: float
+    pull: float
     mutual: bool
 
     def __post_init__(self) -> None:
         _check(0.0 <= self.k < math.inf, f"coupling: k must be a number >= 0, got {self.k}")
+        _check(0.0 <= self.pull < math.inf, f"coupling: pull must be a number >= 0, got {self.pull}")
         _check(0.0 < self.noise < math.inf, f"coupling: noise must be a positive number, got {self.noise}")
 
 
-def couple_velocity(k: float, noise: float) -> Coupling:
-    """Related objects keep to one velocity: their difference w obeys dw = -k w dt + noise dW.
+def couple_velocity(k: float, noise: float, pull: float = 0.0) -> Coupling:
+    """Related objects keep to one velocity: their difference w obeys dw = -(k w + pull u) dt + noise dW.
 
-    The centre of the group moves as the mean of independent members would. ``k`` in 1/s, ``noise`` in m/s^1.5.
+    With ``pull`` they also keep together: u is their difference in position, and in the long run each coordinate of it
+    has standard deviation noise / sqrt(2 k pull). The centre of a group moves as the mean of independent members would.
+
+    Args:
+        k: 1/s.
+        noise: m/s per square root of a second.
+        pull: 1/s².
     """
-    return Coupling(float(k), float(noise), True)
+    return Coupling(float(k), float(noise), float(pull), True)
 
 
-def follow_velocity(k: float, noise: float) -> Coupling:
+def follow_velocity(k: float, noise: float, pull: float = 0.0) -> Coupling:
     """The first takes on the velocity of the second, which moves as it likes; units as in ``couple_velocity``."""
-    return Coupling(float(k), float(noise), False)
+    return Coupling(float(k), float(noise), float(pull), False)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """One step of the collapsed relational filter: objects by Kalman filters, each pair's relation summed out.
 
 All axes share one covariance (noise is the same along each), kept as (position, cross, velocity). A motion is
-(f01, f11, q00, q01, q11): x' = x + f01 v, v' = f11 v, and its noise.
+(f00, f01, f10, f11, q00, q01, q11): x' = f00 x + f01 v, v' = f10 x + f11 v, and its noise.
 """
 
 import math
@@ -15,15 +15,13 @@ FLOOR = 1e-9  # a relation is never surer than this
 
 
 @inner
-def _predict(mean, cov, motion):
-    f01, f11, q00, q01, q11 = motion[0], motion[1], motion[2], motion[3], motion[4]
-    for k in range(mean.shape[1]):
-        mean[0, k] += f01 * mean[1, k]
-        mean[1, k] *= f11
-    pp, pv, vv = cov[0], cov[1], cov[2]
-    cov[0] = pp + 2.0 * f01 * pv + f01 * f01 * vv + q00
-    cov[1] = f11 * (pv + f01 * vv) + q01
-    cov[2] = f11 * f11 * vv + q11
+def _spread(c, k, motion):
+    """Predict the covariance at ``c[k : k + 3]`` in place."""
+    f00, f01, f10, f11 = motion[0], motion[1], motion[2], motion[3]
+    pp, pv, vv = c[k], c[k + 1], c[k + 2]
+    c[k] = f00 * f00 * pp + 2.0 * f00 * f01 * pv + f01 * f01 * vv + motion[4]
+    c[k + 1] = f00 * f10 * pp + (f00 * f11 + f01 * f10) * pv + f01 * f11 * vv + motion[5]
+    c[k + 2] = f10 * f10 * pp + 2.0 * f10 * f11 * pv + f11 * f11 * vv + motion[6]
 
 
 @inner
@@ -52,9 +50,13 @@ def _update(mean, cov, z, s):
 
 @kernel
 def predict(mean, cov, motion):
-    """Move n objects: ``mean`` (n, 2, d), ``cov`` (n, 3), in place, by ``motion`` (n, 5)."""
+    """Move n objects: ``mean`` (n, 2, d), ``cov`` (n, 3), in place, by ``motion`` (n, 7)."""
     for i in range(len(mean)):
-        _predict(mean[i], cov[i], motion[i])
+        for k in range(mean.shape[2]):
+            x, v = mean[i, 0, k], mean[i, 1, k]
+            mean[i, 0, k] = motion[i, 0] * x + motion[i, 1] * v
+            mean[i, 1, k] = motion[i, 2] * x + motion[i, 3] * v
+        _spread(cov[i], 0, motion[i])
 
 
 @kernel
@@ -147,7 +149,7 @@ def step(
         z, variance, seen: (n, 2), (n,), (n,) detection of each object, its variance, whether there is one.
         known: (n,) whether an object was seen lately.
         objects, spread: (n, 2, 2), (n, 3) the objects' own filters, after the detections.
-        motions: (2, 5) of the relative state in both modes.
+        motions: (2, 7) of the relative state in both modes.
         coupled: whether the motions differ.
         chances: (3, 2) of switching on and off within ``dt`` where the predicate holds, where not, and where unknown.
         ops, numbers: of the predicate; no operations: it always holds.
@@ -161,16 +163,13 @@ def step(
         a, b = first[i], second[i]
         x, c = states[i], spreads[i]
         for mode in range(2 if coupled else 1):
-            f01, f11 = motions[mode, 0], motions[mode, 1]
-            j, k = 4 * mode, 3 * mode
-            x[j] += f01 * x[j + 2]
-            x[j + 1] += f01 * x[j + 3]
-            x[j + 2] *= f11
-            x[j + 3] *= f11
-            pp, pv, vv = c[k], c[k + 1], c[k + 2]
-            c[k] = pp + f01 * (2.0 * pv + f01 * vv) + motions[mode, 2]
-            c[k + 1] = f11 * (pv + f01 * vv) + motions[mode, 3]
-            c[k + 2] = f11 * f11 * vv + motions[mode, 4]
+            f00, f01, f10, f11 = motions[mode, 0], motions[mode, 1], motions[mode, 2], motions[mode, 3]
+            j = 4 * mode
+            for axis in range(2):
+                u, w = x[j + axis], x[j + 2 + axis]
+                x[j + axis] = f00 * u + f01 * w
+                x[j + 2 + axis] = f10 * u + f11 * w
+            _spread(c, 3 * mode, motions[mode])
         prior = p[i]
         ax, ay, bx, by = objects[a, 1, 0], objects[a, 1, 1], objects[b, 1, 0], objects[b, 1, 1]
         if seen[a] and seen[b]:
