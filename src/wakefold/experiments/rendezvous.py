@@ -2,7 +2,7 @@
 
 In every split each recogniser sees 60 scenes of its own to learn from and is judged by F1 on 100 others; the score at
 which it says "rendezvous" is chosen on the 60. Splits share no scene. What a recogniser has beside its threshold was
-chosen on other scenes (``benchmarks/rendezvous_settings.py``); the rule chooses all it has anew in every split.
+chosen on other scenes (docs/rendezvous.md); the rule chooses all it has anew in every split.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ CONDITIONS: dict[str, tuple[tuple[str, ...], float, float]] = {  # negatives, no
     "hard 0.4": (HARD, 400.0, 0.0),
     "easy 0.2": (EASY, 200.0, 0.0),
 }
-# Chosen by benchmarks/rendezvous_settings.py on hard scenes at 200 m.
+# Chosen on tuning scenes, hard and at 200 m: docs/rendezvous.md.
 Q = 0.002  # m²/s³ of the Kalman filters
 QS = (0.0005, 0.002, 0.005)  # that the rule chooses from, and the other two
 NEAR, SLOW = (300.0, 350.0, 400.0, 450.0, 500.0, 600.0), (1.5, 2.0, 2.5, 3.0)
