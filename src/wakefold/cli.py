@@ -380,7 +380,7 @@ def demo(
 @guarded
 def reproduce(
     figures: Annotated[list[str] | None, _arg("Which: fig1, mse, fig7a, ...; all without. --list tells them.")] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="A minute, with too few runs for any verdict.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Few runs of each, too few for any verdict.")] = False,
     out: Annotated[Path, typer.Option(help="Directory for index.html, pictures and results.")] = Path("reproduced"),
     seed: Annotated[int, typer.Option(help="Of everything.", min=0)] = 0,
     processes: Annotated[int | None, _opt("At once; one on each core without.")] = None,
@@ -389,7 +389,7 @@ def reproduce(
     """Repeat the experiments of the papers: one page, every figure and number beside the published one.
 
     \b
-    All of it takes under 20 minutes on two cores. A run that was interrupted goes on where it stopped.
+    A run that was interrupted goes on where it stopped.
     Examples:
       $ wakefold reproduce --out reproduced
       $ wakefold reproduce mse fig7a --quick
