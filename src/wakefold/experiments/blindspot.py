@@ -2,13 +2,13 @@
 
 Detections carry no identities. Both filters are the same Rao-Blackwellised particle filter with the same motion,
 sensor, association and number of particles; the plain one knows no relation. Settings were chosen on scenes of other
-seeds (``VALIDATION`` and up). ``python -m wakefold.experiments.blindspot 20`` runs 20 scenes of each sort.
+seeds (``VALIDATION`` and up). ``wakefold reproduce blindspot`` runs 100 scenes of each sort.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,12 +17,15 @@ from scipy.optimize import linear_sum_assignment
 
 from wakefold.detections import Detections
 from wakefold.experiments.blindspot_scenes import BLIND, CLUTTER, DT, SCENES, SD, Walk, visible, walk
+from wakefold.experiments.registry import Job, Section, Size
 from wakefold.filters.relational import RelationalFilter
 from wakefold.relations import ConstantVelocity, Relation, RelationalModel, couple_velocity, near, same_velocity
 from wakefold.scene import Scene
 
 Floats = NDArray[np.float64]
 
+TITLE = "Three people through a blind spot (relational filter, second experiment)"
+NAMES = ("plain", "relational")
 VALIDATION = 10_000  # seeds of scenes that settings are chosen on; the reported scenes have seeds from 0
 PARTICLES = 100
 SETTINGS: dict[str, float] = {"q": 0.4, "k": 0.5, "noise": 0.1, "hidden": 0.02, "pull": 0.02}
@@ -47,10 +50,12 @@ class Outcome(NamedTuple):
 
     Attributes:
         estimate: ``(T, 3, 2)`` where it believed each person, by the track that had the person before the blind spot.
+        names: ``(3,)`` those tracks.
         swapped: ``(3,)`` whether the person's track ended on somebody or something else.
     """
 
     estimate: Floats
+    names: NDArray[np.int64]
     swapped: NDArray[np.bool_]
     scenes: list[Scene]
 
@@ -70,7 +75,7 @@ def follow(scene: Walk, f: RelationalFilter) -> Outcome:
         at = {int(i): x for i, x in zip(b.ids, b.mean[:, 0], strict=True)}
         for person, name in enumerate(names):
             estimate[k, person] = at.get(name, estimate[k - 1, person] if k else scene.truth[k, person])
-    return Outcome(estimate, np.array(owners(beliefs[-1], scene.truth[-1])) != names, beliefs)
+    return Outcome(estimate, names, np.array(owners(beliefs[-1], scene.truth[-1])) != names, beliefs)
 
 
 def owners(belief: Scene, truth: Floats) -> NDArray[np.int64]:
@@ -83,33 +88,34 @@ def owners(belief: Scene, truth: Floats) -> NDArray[np.int64]:
     return out
 
 
+def tracker(name: str, seed: int, particles: int = PARTICLES, **settings: float) -> RelationalFilter:
+    """The filter "plain" or "relational", with the settings chosen unless others are given."""
+    some = model(name == "relational", **{**SETTINGS, **settings})
+    return RelationalFilter(some, "rbk", particles=particles, gate=6.0, forget=30.0, hypotheses=40, seed=seed)
+
+
 def run(spec: Mapping[str, Any]) -> dict[str, Any]:
     """Both filters on one scene: identity error and mean squared error of each."""
     scene, out = walk(spec["scene"], spec["seed"]), {}
-    for name in spec.get("filters", ("plain", "relational")):
-        f = RelationalFilter(
-            model(name == "relational", **spec.get("settings", SETTINGS)),
-            "rbk", particles=spec.get("particles", PARTICLES), gate=6.0, forget=30.0, hypotheses=40, seed=spec["seed"],
-        )  # fmt: skip
+    for name in spec.get("filters", NAMES):
+        f = tracker(name, spec["seed"], spec.get("particles", PARTICLES), **spec.get("settings", {}))
         o = follow(scene, f)
         square = ((o.estimate - scene.truth) ** 2).sum(axis=2)
         out[name] = {"error": bool(o.swapped.any()), "share": float(o.swapped.mean()), "mse": float(square.mean())}
     return out
 
 
-def main(count: int) -> None:
-    """Print identity errors and mean squared errors over the scenes with seeds 0 to ``count`` - 1."""
-    for scene in SCENES:
-        results = [run({"scene": scene, "seed": seed}) for seed in range(count)]
-        for name in ("plain", "relational"):
-            error = [r[name]["error"] for r in results]
-            mse = [r[name]["mse"] for r in results]
-            spread = f"sd {np.std(mse):.2f}, median {np.median(mse):.2f}"
-            print(
-                f"{scene:20} {name:11} n={count} error {np.mean(error):.3f} mse {np.mean(mse):.3f} ({spread})",
-                flush=True,
-            )
+def jobs(size: Size) -> list[Job]:
+    """A job for each scene: 100 of each sort, or 2 when quick."""
+    seeds = range(2 if size.quick else 100)
+    return [Job("blindspot:run", {"scene": s, "seed": size.seed + k}, cost=1.0) for s in SCENES for k in seeds]
 
 
-if __name__ == "__main__":
-    main(int(sys.argv[1]))
+def report(results: list[Any], size: Size, folder: Path) -> Section:
+    """Errors of both filters in each sort of scene, and one scene drawn."""
+    from wakefold.experiments.blindspot_report import section
+
+    by_scene: dict[str, list[dict[str, Any]]] = {}
+    for job, result in zip(jobs(size), results, strict=True):
+        by_scene.setdefault(job.spec["scene"], []).append(result)
+    return section(TITLE, by_scene, folder, size.seed)

@@ -30,6 +30,7 @@ FIGURES: dict[str, str] = {
     "ablation": "ablation",
     "walking": "walking",
     "rendezvous": "rendezvous",
+    "blindspot": "blindspot",
 }
 
 
