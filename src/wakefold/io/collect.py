@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from wakefold.io.records import Floats, Latest, Rows, Static, as_text
 from wakefold.io.report import ReadError, Report, Tally
-from wakefold.io.rules import Mask, grouping, jumps, project, repeated, sort_times, starts
+from wakefold.io.rules import Mask, grouping, jumps, project, repeated, sort_times, starts, taken
 from wakefold.tracks import Tracks
 
 MAX_GEODETIC_SPEED = 60.0
@@ -138,11 +138,11 @@ class Collector:
         codes = self._take("code")
         order = grouping(codes)
         codes = codes[order]
-        time = self._take("time")[order]
+        time = taken(self._take("time"), order)
         untimed = self._number_untimed(codes, time)
         late = sort_times(codes, time, order)
         self.tally.note("{n} rows followed a later one of the same agent and were sorted", late)
-        rows = _Sorted(order, codes, time, [self._take(f"position {i}")[order] for i in range(self._dim)])
+        rows = _Sorted(order, codes, time, [taken(self._take(f"position {i}"), order) for i in range(self._dim)])
 
         duplicate, elsewhere = repeated(rows.codes, rows.time, rows.position)
         self._reject("duplicate", duplicate, rows)
@@ -155,7 +155,9 @@ class Collector:
             self._reject("jump", jump, rows)
             rows.keep(~jump)
 
-        columns = {name[7:]: self._take(name)[rows.order] for name in sorted(self._chunks) if name[:7] == "column "}
+        columns = {
+            name[7:]: taken(self._take(name), rows.order) for name in sorted(self._chunks) if name[:7] == "column "
+        }
         offsets = np.append(np.flatnonzero(starts(rows.codes)), len(rows.codes))
         agents = rows.codes[offsets[:-1]]
         ids = np.array(list(self._codes), dtype=np.str_)[agents]

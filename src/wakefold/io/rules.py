@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,6 +120,17 @@ def project(lon: Floats, lat: Floats) -> tuple[Floats, Projection]:
 
     in_chunks(place, len(lon))
     return points, projection
+
+
+def taken(values: NDArray[Any], order: NDArray[np.integer]) -> NDArray[Any]:
+    """``values[order]``, two pieces at a time."""
+    out = np.empty(len(order), values.dtype)
+
+    def take(lo: int, hi: int) -> None:
+        np.take(values, order[lo:hi], out=out[lo:hi], mode="clip")  # "raise" would copy the piece once more
+
+    in_chunks(take, len(order))
+    return out
 
 
 def in_chunks(work: Callable[[int, int], None], n: int, overlap: int = 0) -> None:
