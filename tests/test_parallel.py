@@ -118,6 +118,21 @@ def test_ray_maps_in_order(cluster):
         cluster.map(square, ["five"], (lent,))
 
 
+def test_an_error_on_ray_starts_nothing_more_and_leaves_the_cluster_whole(cluster, tmp_path):
+    """The pieces at work are not cancelled: cancelling one that just ends can abort the process that asked for it."""
+
+    def work(item):
+        run, x = item
+        (tmp_path / f"{run} {x}").touch()
+        return 1 / x
+
+    for run in range(20):
+        with pytest.raises(ZeroDivisionError):
+            cluster.map(work, [(run, x) for x in range(200)])
+        assert len(list(tmp_path.glob(f"{run} *"))) < 100
+    assert cluster.map(work, [(run, 2)]) == [0.5]
+
+
 def test_the_tree_survives_the_death_of_a_worker(cluster, tmp_path):
     """Of the many pieces of a fit, one of the search and one of the distances kill the process that runs them."""
     killed = []

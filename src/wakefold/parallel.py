@@ -8,9 +8,11 @@ takes processes. Whatever runs a piece, its result is the same: an algorithm is 
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from itertools import islice
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -166,15 +168,15 @@ class Ray:
     ) -> list[R]:
         if f not in self._tasks:
             self._tasks[f] = self._ray.remote(max_retries=3)(f)
-        waiting = [self._tasks[f].remote(item, *shared) for item in items]
+        # Only some pieces are handed out ahead, and after an error none is added. Those at work are left to end:
+        # ray.cancel on a task that is just ending can abort this process (a check of Ray 2.60 itself fails).
+        ahead = 4 * max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+        todo = iter(items)
+        waiting = deque(self._tasks[f].remote(item, *shared) for item in islice(todo, ahead))
         results = []
-        try:
-            for each in waiting:
-                results.append(self._ray.get(each))
-                if progress:
-                    progress(len(results) / len(items))
-        except BaseException:
-            for each in waiting[len(results) :]:
-                self._ray.cancel(each)
-            raise
+        while waiting:
+            results.append(self._ray.get(waiting.popleft()))
+            waiting.extend(self._tasks[f].remote(item, *shared) for item in islice(todo, 1))
+            if progress:
+                progress(len(results) / len(items))
         return results

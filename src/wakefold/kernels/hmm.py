@@ -5,20 +5,8 @@ log_b (T, K) is what each state makes of each observation, log_a (K, K) of the t
 
 import numpy as np
 
-from wakefold.kernels.compile import inner, kernel
-
-
-@inner
-def _log_sum(terms):
-    top = terms[0]
-    for k in range(1, len(terms)):
-        top = max(top, terms[k])
-    if top == -np.inf:
-        return top
-    total = 0.0
-    for k in range(len(terms)):
-        total += np.exp(terms[k] - top)
-    return top + np.log(total)
+from wakefold.kernels.compile import kernel
+from wakefold.kernels.particles import log_sum
 
 
 @kernel
@@ -32,8 +20,8 @@ def forward(log_b, log_a, log_pi, alpha):
         for j in range(states):
             for i in range(states):
                 terms[i] = alpha[t - 1, i] + log_a[i, j]
-            alpha[t, j] = _log_sum(terms) + log_b[t, j]
-    return _log_sum(alpha[count - 1])
+            alpha[t, j] = log_sum(terms) + log_b[t, j]
+    return log_sum(alpha[count - 1])
 
 
 @kernel
@@ -46,7 +34,7 @@ def backward(log_b, log_a, beta):
         for i in range(states):
             for j in range(states):
                 terms[j] = log_a[i, j] + log_b[t + 1, j] + beta[t + 1, j]
-            beta[t, i] = _log_sum(terms)
+            beta[t, i] = log_sum(terms)
 
 
 @kernel
