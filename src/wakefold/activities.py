@@ -12,6 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from wakefold.kernels import stages as kernel
 from wakefold.relations import Activity
 
 Floats = NDArray[np.float64]
@@ -36,37 +37,10 @@ def advance(stages: Floats, before: Floats, on: Floats, off: Floats, dt: float, 
         on, off: ``(P,)`` probabilities that it has switched since.
         dt: seconds.
     """
-    out = stages.copy()
-    related = slice(1, DONE + 1)
-    held = out[:, related].sum(axis=1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        out[:, related] *= np.where(held > 0.0, before / held, 0.0)[:, None]
-        apart = np.where(held < 1.0, (1.0 - before) / (1.0 - held), 0.0)
-    out[:, BEFORE] *= apart
-    out[:, AFTER] *= apart
-    fresh = np.where(held > 0.0, 0.0, before)  # what was seen now says it, and nothing before did
-    out[:, 1] += fresh
-    out[:, related] = _longer(out[:, related], PARTS * dt / activity.min_time if activity.min_time > 0 else math.inf)
-    ended, resumed = out[:, related] * off[:, None], out[:, AFTER] * on
-    started = out[:, BEFORE] * on
-    out[:, related] -= ended
-    out[:, BEFORE] += ended[:, :-1].sum(axis=1) - started
-    out[:, AFTER] += ended[:, -1] - resumed
-    out[:, 1] += started
-    out[:, DONE] += resumed
-    np.maximum(out, 0.0, out=out)
-    return out / out.sum(axis=1, keepdims=True)
-
-
-def _longer(stages: Floats, parts: float) -> Floats:
-    """Move ``(P, PARTS + 1)`` forward by ``parts``, a fraction by chance; the last stage keeps all."""
-    whole = min(int(parts), PARTS) if math.isfinite(parts) else PARTS
-    fraction = 0.0 if whole == PARTS else parts - whole
-    out = np.zeros_like(stages)
-    for shift, weight in ((whole, 1.0 - fraction), (whole + 1, fraction)):
-        if weight > 0.0:
-            out[:, shift:-1] += weight * stages[:, : max(PARTS - shift, 0)]
-            out[:, -1] += weight * stages[:, max(PARTS - shift, 0) :].sum(axis=1)
+    parts = PARTS * dt / activity.min_time if activity.min_time > 0 else math.inf
+    whole = int(parts) if parts < PARTS else PARTS
+    out = np.empty_like(stages)
+    kernel.advance(stages, before, on, off, whole, parts - whole if whole < PARTS else 0.0, out)
     return out
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ from wakefold.activities import begin
 from wakefold.couplings import row
 from wakefold.detections import Detections
 from wakefold.kernels import pairs as kernel
+from wakefold.kernels import turnover
 from wakefold.kernels.predicates import truth
 from wakefold.relations import ConstantVelocity, Relation, RelationalModel
 from wakefold.scene import Pairs, Scene
@@ -80,14 +82,14 @@ def match(ids: NDArray, scan: Detections) -> tuple[Ints, Ints]:
     assert scan.ids is not None
     if len(ids) and len(scan) and (ids.dtype.kind == "U") != (scan.ids.dtype.kind == "U"):
         raise ValueError("Detections ids were whole numbers before and are texts now, or the other way round")
-    at = {name: i for i, name in enumerate(ids.tolist())}
-    found, fresh = np.full(len(ids), -1, dtype=np.int64), []
-    for j, name in enumerate(scan.ids.tolist()):
-        if name in at:
-            found[at[name]] = j
-        else:
-            fresh.append(j)
-    return found, np.array(fresh, dtype=np.int64)
+    if not len(ids) or not len(scan):
+        return np.full(len(ids), -1), np.arange(len(scan))
+    order = np.argsort(scan.ids, kind="stable")
+    at = order[np.minimum(np.searchsorted(scan.ids[order], ids), len(order) - 1)]
+    found = np.where(scan.ids[at] == ids, at, -1)
+    known = np.zeros(len(scan), dtype=bool)
+    known[found[found >= 0]] = True
+    return found, np.flatnonzero(~known)
 
 
 def enter(objects: Objects, scan: Detections, fresh: Ints, model: RelationalModel, serials: int) -> Objects:
@@ -209,42 +211,26 @@ def refresh(
     Returns:
         The pairs in order, and which of them are new.
     """
-    n = len(objects.ids)
-    first, second = place[pairs.first], place[pairs.second]
-    stays = (first >= 0) & (second >= 0)
-    apart = ((objects.mean[second, 0] - objects.mean[first, 0]) ** 2).sum(axis=1) if n else np.zeros(len(first))
-    hidden = (objects.unseen[first] > 0) | (objects.unseen[second] > 0) if n else np.zeros(len(first), bool)
-    stays &= hidden | (apart <= (HYSTERESIS * s.gate) ** 2)
-    kept = np.flatnonzero(stays)
-    held = first[kept] * n + second[kept]  # rising, as objects keep their order
     wanted = of_relation(near, relation, s.model, objects.kinds)
-    at = np.searchsorted(held, wanted)
-    fresh = wanted[held[np.minimum(at, len(held) - 1)] != wanted] if len(held) else wanted
-    if not len(fresh):
-        if len(kept) == len(stays):
-            return pairs._replace(first=first, second=second), np.zeros(len(kept), dtype=bool)
-        return pairs._replace(first=first, second=second).keep(kept), np.zeros(len(kept), dtype=bool)
-    new = begun(fresh // n, fresh % n, relation, s, objects, particles)
-    old_at = np.arange(len(kept)) + np.searchsorted(fresh, held)
-    new_at = np.arange(len(fresh)) + np.searchsorted(held, fresh)
-
-    def merge(old: NDArray, added: NDArray) -> NDArray:
-        out = np.empty((len(held) + len(fresh), *old.shape[1:]), dtype=old.dtype)
-        out[old_at], out[new_at] = old[kept], added
-        return out
-
-    merged = Pairs(
-        merge(first, new.first),
-        merge(second, new.second),
-        merge(pairs.p, new.p),
-        merge(pairs.mean, new.mean),
-        merge(pairs.cov, new.cov),
-        np.ascontiguousarray(merge(pairs.bits.T, new.bits.T).T),
-        tuple(merge(x, y) for x, y in zip(pairs.stages, new.stages, strict=True)),
+    reach = HYSTERESIS * s.gate
+    first, second, source = turnover.merge(
+        pairs.first, pairs.second, place, objects.mean, objects.unseen > 0, reach, wanted
     )
-    is_new = np.zeros(len(merged.p), dtype=bool)
-    is_new[new_at] = True
-    return merged, is_new
+    is_new = source < 0
+    if not is_new.any() and len(source) == len(pairs.p):
+        return pairs._replace(first=first, second=second), is_new
+    new = begun(first[is_new], second[is_new], relation, s, objects, particles)
+
+    def merge(old: Floats, added: Floats) -> Floats:
+        out = np.empty((len(source), math.prod(old.shape[1:])))
+        turnover.gather(old.reshape(-1, out.shape[1]), added.reshape(-1, out.shape[1]), source, out)
+        return out.reshape(-1, *old.shape[1:])
+
+    bits = np.empty((len(pairs.bits), len(source)), dtype=bool)
+    bits[:, ~is_new], bits[:, is_new] = pairs.bits[:, source[~is_new]], new.bits
+    mean, cov = merge(pairs.mean, new.mean), merge(pairs.cov, new.cov)
+    stages = tuple(merge(x, y) for x, y in zip(pairs.stages, new.stages, strict=True))
+    return Pairs(first, second, merge(pairs.p, new.p), mean, cov, bits, stages), is_new
 
 
 def begun(first: Ints, second: Ints, relation: Relation, s: Settings, objects: Objects, particles: int) -> Pairs:

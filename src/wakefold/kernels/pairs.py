@@ -9,9 +9,10 @@ import math
 import numpy as np
 
 from wakefold.kernels.compile import inner, kernel
-from wakefold.kernels.predicates import evaluate
+from wakefold.kernels.predicates import AT_ONCE, FEATURES, evaluate
 
 FLOOR = 1e-9  # a relation is never surer than this
+SURE = 1e-6  # a mode less probable is not asked whether the predicate holds
 
 
 @inner
@@ -130,6 +131,61 @@ def _exchange(x, c, to_off, to_on):
         x[4 + j] -= to_on * away
 
 
+@inner
+def _move_and_see(mode, lo, hi, first, second, x, c, z, variance, seen, motions, misfit, precision):
+    """Objects move as they are in one mode, and are seen, for the pairs ``lo:hi``, in place.
+
+    Args:
+        misfit, precision: (hi - lo,) out: squared innovation over its variance, and one over that variance.
+    """
+    f00, f01, f10, f11 = motions[mode, 0], motions[mode, 1], motions[mode, 2], motions[mode, 3]
+    j, k = 4 * mode, 3 * mode
+    for i in range(lo, hi):
+        ux, uy, wx, wy = x[i, j], x[i, j + 1], x[i, j + 2], x[i, j + 3]
+        ux, wx = f00 * ux + f01 * wx, f10 * ux + f11 * wx
+        uy, wy = f00 * uy + f01 * wy, f10 * uy + f11 * wy
+        _spread(c[i], k, motions[mode])
+        pp, pv, vv = c[i, k], c[i, k + 1], c[i, k + 2]
+        a, b = first[i], second[i]
+        if seen[a] and seen[b]:
+            ex, ey = z[b, 0] - z[a, 0] - ux, z[b, 1] - z[a, 1] - uy
+            s = 1.0 / (pp + (variance[a] + variance[b]))
+            g0, g1 = pp * s, pv * s
+            ux, uy, wx, wy = ux + g0 * ex, uy + g0 * ey, wx + g1 * ex, wy + g1 * ey
+            vv -= g1 * pv
+            pp *= 1.0 - g0
+            pv *= 1.0 - g0
+            misfit[i - lo], precision[i - lo] = 0.5 * s * (ex * ex + ey * ey), s
+        x[i, j], x[i, j + 1], x[i, j + 2], x[i, j + 3] = ux, uy, wx, wy
+        c[i, k], c[i, k + 1], c[i, k + 2] = pp, pv, vv
+
+
+@inner
+def _ask(
+    mode, lo, hi, first, second, x, c, known, objects, spread, before, coupled, ops, numbers, rows, f, until, stack,
+    holds,
+):  # fmt: skip
+    """Whether the predicate holds of the pairs ``lo:hi`` that are in ``mode``, into ``holds`` (AT_ONCE,).
+
+    Pairs that are not ``known``, and those all but surely in the other mode, are left out.
+    """
+    many, j, k = 0, 4 * mode, 3 * mode
+    for i in range(lo, hi):
+        a, b = first[i], second[i]
+        p = before[i]
+        if known[a] and known[b] and (p > SURE if mode == 1 else p < 1.0 - SURE or not coupled):
+            rows[many] = i - lo
+            f[0, many], f[1, many], f[2, many], f[3, many] = x[i, j], x[i, j + 1], x[i, j + 2], x[i, j + 3]
+            f[4, many], f[5, many] = c[i, k], c[i, k + 2]
+            f[6, many], f[7, many] = objects[a, 1, 0], objects[a, 1, 1]
+            f[8, many], f[9, many] = objects[b, 1, 0], objects[b, 1, 1]
+            f[10, many], f[11, many], f[12, many] = spread[a, 2], spread[b, 2], 1.0
+            many += 1
+    evaluate(ops, numbers, many, f, until, stack)
+    for m in range(many):
+        holds[rows[m]] = stack[0, m]
+
+
 @kernel
 def step(
     first, second, p, mean, cov, z, variance, seen, known, objects, spread,
@@ -140,7 +196,8 @@ def step(
 
     A pair is a switching linear system of two modes, unrelated (0) and related (1), over its relative state (second
     minus first), filtered as interacting multiple models (Blom and Bar-Shalom 1988) in the order of Eq. 1: objects move
-    as they were related before, are seen, and then the relation changes as they are now.
+    as they were related before, are seen, and then the relation changes as they are now. Pairs go through this
+    ``AT_ONCE`` at a time: short loops let the processor work on several pairs, and what they read stays near.
 
     Args:
         first, second: (P,) objects.
@@ -156,83 +213,53 @@ def step(
         distances, differences, speeds, table: of its evidence; an empty table: none.
         before, on, off: (P,) out: probability before the switch, and of switching on and off.
     """
-    stack = np.empty(max(len(ops), 1))
-    states, spreads = mean.reshape(-1, 8), cov.reshape(-1, 6)
-    asked, looks = len(ops) > 0, table.size > 0
-    for i in range(len(first)):
-        a, b = first[i], second[i]
-        x, c = states[i], spreads[i]
+    rows, until = np.empty(AT_ONCE, dtype=np.int64), np.empty(AT_ONCE, dtype=np.int64)
+    f, stack, holds = np.empty((FEATURES, AT_ONCE)), np.empty((max(len(ops), 1), AT_ONCE)), np.ones((2, AT_ONCE))
+    x, c = mean.reshape(-1, 8), cov.reshape(-1, 6)
+    misfit, precision = np.zeros((2, AT_ONCE)), np.ones((2, AT_ONCE))
+    looks = table.size > 0
+    for lo in range(0, len(first), AT_ONCE):
+        hi = min(lo + AT_ONCE, len(first))
         for mode in range(2 if coupled else 1):
-            f00, f01, f10, f11 = motions[mode, 0], motions[mode, 1], motions[mode, 2], motions[mode, 3]
-            j = 4 * mode
-            for axis in range(2):
-                u, w = x[j + axis], x[j + 2 + axis]
-                x[j + axis] = f00 * u + f01 * w
-                x[j + 2 + axis] = f10 * u + f11 * w
-            _spread(c, 3 * mode, motions[mode])
-        prior = p[i]
-        ax, ay, bx, by = objects[a, 1, 0], objects[a, 1, 1], objects[b, 1, 0], objects[b, 1, 1]
-        if seen[a] and seen[b]:
-            zx, zy, r = z[b, 0] - z[a, 0], z[b, 1] - z[a, 1], variance[a] + variance[b]
-            log_odds, ratio, last = 0.0, 1.0, 1.0
-            for mode in range(2 if coupled else 1):
-                j, k = 4 * mode, 3 * mode
-                ex, ey, s = zx - x[j], zy - x[j + 1], 1.0 / (c[k] + r)
-                g0, g1 = c[k] * s, c[k + 1] * s
-                x[j] += g0 * ex
-                x[j + 1] += g0 * ey
-                x[j + 2] += g1 * ex
-                x[j + 3] += g1 * ey
-                c[k + 2] -= g1 * c[k + 1]
-                c[k] *= 1.0 - g0
-                c[k + 1] *= 1.0 - g0
-                log_odds = -log_odds - 0.5 * s * (ex * ex + ey * ey)  # of mode 1 less of mode 0, after both
-                ratio, last = s / last, s
-            if coupled:
+            _move_and_see(mode, lo, hi, first, second, x, c, z, variance, seen, motions, misfit[mode], precision[mode])
+        for i in range(lo, hi):
+            a, b = first[i], second[i]
+            before[i] = p[i]
+            if seen[a] and seen[b] and (coupled or looks):
+                log_odds, ratio = 0.0, 1.0
+                if coupled:
+                    log_odds = misfit[0, i - lo] - misfit[1, i - lo]
+                    ratio = precision[1, i - lo] / precision[0, i - lo]
                 if looks:
                     log_odds += dt * _log_ratio(
-                        x[0], x[1], x[2], x[3], ax, ay, bx, by, distances, differences, speeds, table
-                    )
+                        x[i, 0], x[i, 1], x[i, 2], x[i, 3], objects[a, 1, 0], objects[a, 1, 1], objects[b, 1, 0],
+                        objects[b, 1, 1], distances, differences, speeds, table,
+                    )  # fmt: skip
                 ratio *= math.exp(min(max(log_odds, -50.0), 50.0))
-            elif looks:
-                log_odds = dt * _log_ratio(
-                    x[0], x[1], x[2], x[3], ax, ay, bx, by, distances, differences, speeds, table
-                )
-                ratio = math.exp(min(max(log_odds, -50.0), 50.0))
-            else:
-                ratio = 1.0
-            prior = prior * ratio / (prior * ratio + 1.0 - prior)
-            prior = min(max(prior, FLOOR), 1.0 - FLOOR)
-        if known[a] and known[b]:
-            yes = holds = 1.0  # whether the predicate holds, if unrelated and if related
-            if asked:
-                # a mode that is all but excluded switches as the other does
-                if prior < 1.0 - 1e-6 or not coupled:
-                    yes = evaluate(
-                        ops, numbers, x[0], x[1], x[2], x[3], c[0], c[2], ax, ay, bx, by, spread[a, 2], spread[b, 2],
-                        True, stack,
-                    )  # fmt: skip
-                if coupled and prior > 1e-6:
-                    holds = evaluate(
-                        ops, numbers, x[4], x[5], x[6], x[7], c[3], c[5], ax, ay, bx, by, spread[a, 2], spread[b, 2],
-                        True, stack,
-                    )  # fmt: skip
-                    if prior >= 1.0 - 1e-6:
-                        yes = holds
-                else:
-                    holds = yes
-            turn_on = yes * chances[0, 0] + (1.0 - yes) * chances[1, 0]
-            turn_off = holds * chances[0, 1] + (1.0 - holds) * chances[1, 1]
-        else:
-            turn_on, turn_off = chances[2, 0], chances[2, 1]
-        after = prior * (1.0 - turn_off) + (1.0 - prior) * turn_on
-        after = min(max(after, FLOOR), 1.0 - FLOOR)
-        if coupled:
-            to_off, to_on = prior * turn_off / (1.0 - after), (1.0 - prior) * turn_on / after
-            if to_off > 1e-9 or to_on > 1e-9:
-                _exchange(x, c, min(to_off, 1.0), min(to_on, 1.0))
-        p[i] = after
-        before[i], on[i], off[i] = prior, turn_on, turn_off
+                now = p[i] * ratio / (p[i] * ratio + 1.0 - p[i])
+                before[i] = min(max(now, FLOOR), 1.0 - FLOOR)
+        if len(ops) > 0:
+            for mode in range(2 if coupled else 1):
+                _ask(
+                    mode, lo, hi, first, second, x, c, known, objects, spread, before, coupled, ops, numbers, rows, f,
+                    until, stack, holds[mode],
+                )  # fmt: skip
+        for i in range(lo, hi):
+            prior, turn_on, turn_off = before[i], chances[2, 0], chances[2, 1]
+            if known[first[i]] and known[second[i]]:
+                # a mode all but excluded switches as the other does
+                yes = holds[1 if coupled and prior >= 1.0 - SURE else 0, i - lo]
+                turn_on = yes * chances[0, 0] + (1.0 - yes) * chances[1, 0]
+                yes = holds[1 if coupled and prior > SURE else 0, i - lo]
+                turn_off = yes * chances[0, 1] + (1.0 - yes) * chances[1, 1]
+            on[i], off[i] = turn_on, turn_off
+            after = prior * (1.0 - turn_off) + (1.0 - prior) * turn_on
+            after = min(max(after, FLOOR), 1.0 - FLOOR)
+            if coupled:
+                to_off, to_on = prior * turn_off / (1.0 - after), (1.0 - prior) * turn_on / after
+                if to_off > 1e-9 or to_on > 1e-9:
+                    _exchange(x[i], c[i], min(to_off, 1.0), min(to_on, 1.0))
+            p[i] = after
 
 
 @kernel

@@ -11,6 +11,9 @@ import numpy as np
 from wakefold.kernels.codes import AHEAD, AND, CLOSING, NEAR, NOT, OR, SAME_VELOCITY, SLOW, UNLESS
 from wakefold.kernels.compile import inner, kernel
 
+AT_ONCE = 64  # pairs: a program is interpreted once for so many of them
+FEATURES = 13
+
 
 @inner
 def ball(mean2, variance, radius):
@@ -41,64 +44,78 @@ def ball(mean2, variance, radius):
 
 
 @inner
-def evaluate(ops, numbers, ux, uy, wx, wy, var, var_v, ax, ay, bx, by, var_a, var_b, seen, stack):
-    """Probability that a program's statement holds; conjuncts are taken as independent.
+def evaluate(ops, numbers, many, f, until, stack):
+    """Probability that a program's statement holds of ``many`` pairs, into ``stack[0]``; conjuncts are independent.
 
     Args:
         ops: (n,) operations in postfix order.
         numbers: (n, 2) their constants.
-        ux, uy, wx, wy: relative position and velocity, second minus first; var, var_v: their variances per axis.
-        ax, ay, bx, by: velocities of the first and the second; var_a, var_b: their variances per axis.
-        seen: whether both are seen.
-        stack: (n,) to work on.
+        f: (FEATURES, AT_ONCE) of the pairs: relative position (0, 1) and velocity (2, 3), second minus first; their
+            variances per axis (4, 5); velocity of the first (6, 7) and the second (8, 9); their variances (10, 11);
+            whether both are seen (12).
+        until: (AT_ONCE,) to work on: operations before this one are left out, as they cannot change the value.
+        stack: (n, AT_ONCE) to work on.
     """
-    top, i = -1, 0
-    while i < len(ops):
-        op, number = ops[i], numbers[i, 0]
-        i += 1
-        if op == UNLESS:  # what follows cannot change this value: leave it out
-            if stack[top] == numbers[i - 1, 1]:
-                i += int(number)
+    until[:many] = 0
+    top = -1
+    for at in range(len(ops)):
+        op, number, other = ops[at], numbers[at, 0], numbers[at, 1]
+        if op == UNLESS:
+            for i in range(many):
+                if until[i] <= at and stack[top, i] == other:
+                    until[i] = at + 1 + int(number)
             continue
-        if op == NOT:
-            stack[top] = 1.0 - stack[top]
-            continue
-        if op == AND:
+        if op in (AND, OR):
             top -= 1
-            stack[top] *= stack[top + 1]
-            continue
-        if op == OR:
-            top -= 1
-            stack[top] = 1.0 - (1.0 - stack[top]) * (1.0 - stack[top + 1])
-            continue
-        top += 1
-        if op == NEAR:
-            stack[top] = ball(ux * ux + uy * uy, var, number)
-        elif op == SAME_VELOCITY:
-            stack[top] = ball(wx * wx + wy * wy, var_v, number)
-        elif op == SLOW:
-            stack[top] = ball(ax * ax + ay * ay, var_a, number) * ball(bx * bx + by * by, var_b, number)
-        elif op == AHEAD:
-            speed = math.sqrt(ax * ax + ay * ay)
-            along = (ux * ax + uy * ay) / speed if speed > 0.0 else 0.0
-            beside = math.sqrt(max(ux * ux + uy * uy - along * along, 0.0))
-            stack[top] = 1.0 if 0.0 < along <= number and beside <= numbers[i - 1, 1] else 0.0
-        elif op == CLOSING:
-            distance = math.sqrt(ux * ux + uy * uy)
-            stack[top] = 1.0 if distance > 0.0 and -(ux * wx + uy * wy) >= number * distance else 0.0
-        else:
-            stack[top] = 1.0 if seen else 0.0
-    return stack[0]
+        elif op != NOT:
+            top += 1
+        for i in range(many):
+            if until[i] > at:
+                continue
+            if op == NOT:
+                stack[top, i] = 1.0 - stack[top, i]
+            elif op == AND:
+                stack[top, i] *= stack[top + 1, i]
+            elif op == OR:
+                stack[top, i] = 1.0 - (1.0 - stack[top, i]) * (1.0 - stack[top + 1, i])
+            elif op == NEAR:
+                stack[top, i] = ball(f[0, i] * f[0, i] + f[1, i] * f[1, i], f[4, i], number)
+            elif op == SAME_VELOCITY:
+                stack[top, i] = ball(f[2, i] * f[2, i] + f[3, i] * f[3, i], f[5, i], number)
+            elif op == SLOW:
+                first = ball(f[6, i] * f[6, i] + f[7, i] * f[7, i], f[10, i], number)
+                stack[top, i] = first * ball(f[8, i] * f[8, i] + f[9, i] * f[9, i], f[11, i], number)
+            elif op == AHEAD:
+                ux, uy, ax, ay = f[0, i], f[1, i], f[6, i], f[7, i]
+                speed = math.sqrt(ax * ax + ay * ay)
+                along = (ux * ax + uy * ay) / speed if speed > 0.0 else 0.0
+                beside = math.sqrt(max(ux * ux + uy * uy - along * along, 0.0))
+                stack[top, i] = 1.0 if 0.0 < along <= number and beside <= other else 0.0
+            elif op == CLOSING:
+                ux, uy, wx, wy = f[0, i], f[1, i], f[2, i], f[3, i]
+                distance = math.sqrt(ux * ux + uy * uy)
+                stack[top, i] = 1.0 if distance > 0.0 and -(ux * wx + uy * wy) >= number * distance else 0.0
+            else:
+                stack[top, i] = f[12, i]
 
 
 @kernel
 def truth(ops, numbers, u, w, var, var_v, va, vb, var_a, var_b, seen, out):
-    """``evaluate`` for n pairs, into ``out``: ``u, w, va, vb`` (n, 2), the others (n,)."""
-    stack = np.empty(max(len(ops), 1))
-    for i in range(len(u)):
-        out[i] = 1.0
-        if len(ops) > 0:
-            out[i] = evaluate(
-                ops, numbers, u[i, 0], u[i, 1], w[i, 0], w[i, 1], var[i], var_v[i], va[i, 0], va[i, 1], vb[i, 0],
-                vb[i, 1], var_a[i], var_b[i], seen[i], stack,
-            )  # fmt: skip
+    """Probability that a program's statement holds of n pairs, into ``out``; 1 where the program is empty.
+
+    ``u, w, va, vb`` (n, 2), the others (n,); see ``evaluate``.
+    """
+    f, until = np.empty((FEATURES, AT_ONCE)), np.empty(AT_ONCE, dtype=np.int64)
+    stack = np.empty((max(len(ops), 1), AT_ONCE))
+    if len(ops) == 0:
+        out[:] = 1.0
+        return
+    for lo in range(0, len(u), AT_ONCE):
+        many = min(AT_ONCE, len(u) - lo)
+        for i in range(many):
+            k = lo + i
+            f[0, i], f[1, i], f[2, i], f[3, i], f[4, i], f[5, i] = u[k, 0], u[k, 1], w[k, 0], w[k, 1], var[k], var_v[k]
+            f[6, i], f[7, i], f[8, i], f[9, i] = va[k, 0], va[k, 1], vb[k, 0], vb[k, 1]
+            f[10, i], f[11, i], f[12, i] = var_a[k], var_b[k], 1.0 if seen[k] else 0.0
+        evaluate(ops, numbers, many, f, until, stack)
+        out[lo : lo + many] = stack[0, :many]
