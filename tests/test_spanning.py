@@ -77,9 +77,12 @@ KINDS = [equal_lengths, clusters, two_hubs, on_a_grid, duplicates, collinear, po
 
 def same_tree(tracks):
     by_matrix = Filtration.from_distances(frechet_matrix(tracks), tracks.ids)
-    order, gaps = leaf_order(*spanning_tree(tracks))
-    np.testing.assert_array_equal(gaps, by_matrix.gaps)
-    np.testing.assert_array_equal(order, by_matrix.order)
+    for long in (0, np.inf):  # tracks whose distances are computed in float32 first: all, none
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(spanning, "LONG", long)
+            order, gaps = leaf_order(*spanning_tree(tracks))
+        np.testing.assert_array_equal(gaps, by_matrix.gaps)
+        np.testing.assert_array_equal(order, by_matrix.order)
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3])

@@ -67,7 +67,7 @@ def frechet_matrix(
     out = np.zeros((len(tracks), len(others)), dtype=dtype)
     if out.size == 0:
         return out
-    (points, other_points), exponent = _in_units([tracks.points, others.points], dtype)
+    (points, other_points), exponent = in_units([tracks.points, others.points], dtype)
 
     # Longest first: neighbours in a batch are of similar length, and each row meets only columns no longer than it.
     rows, columns = (np.argsort(-each.lengths, kind="stable") for each in (tracks, others))
@@ -114,7 +114,7 @@ def distances_from(track: Floats, tracks: Tracks, others: NDArray[np.int64]) -> 
     return out
 
 
-def _in_units(points: list[Floats], dtype: str) -> tuple[list[NDArray[np.floating]], int]:
+def in_units(points: list[Floats], dtype: str) -> tuple[list[NDArray[np.floating]], int]:
     """Points as the kernel takes them, and the power of two its distances are to be multiplied by.
 
     float64: as given. float32: about the middle of the bounding box of all of them, in units of half its longest side

@@ -127,10 +127,10 @@ def _directions(dim: int) -> Floats:
 
 def _landmarks(points: Floats) -> Floats:
     """Points far from one another, ``(n, d)``: each the furthest from those before it, among a sample."""
-    sample = points[:: -(-len(points) // 4096)]
-    chosen = [sample.mean(axis=0)]
-    distance = np.full(len(sample), np.inf)
+    sample = np.ascontiguousarray(points[:: -(-len(points) // 4096)].T)
+    chosen = [sample.mean(axis=1)]
+    distance = np.full(sample.shape[1], np.inf)
     for _ in range(LANDMARKS - 1):
-        distance = np.minimum(distance, ((sample - chosen[-1]) ** 2).sum(axis=1))
-        chosen.append(sample[distance.argmax()])
+        distance = np.minimum(distance, ((sample - chosen[-1][:, None]) ** 2).sum(axis=0))
+        chosen.append(sample[:, distance.argmax()])
     return np.array(chosen)

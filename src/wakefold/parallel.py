@@ -7,12 +7,15 @@ takes processes. Whatever runs a piece, its result is the same: an algorithm is 
 
 from __future__ import annotations
 
+import atexit
 import os
+import threading
 from collections import deque
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from itertools import islice
+from queue import SimpleQueue
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -52,16 +55,71 @@ def thread_map(
             if progress:
                 progress(done / len(items))
         return results
-    pool = ThreadPoolExecutor(min(threads, len(items)))
+    results: list[Any] = [None] * len(items)
+    todo, ended, next_one = iter(enumerate(items)), SimpleQueue(), threading.Lock()
+
+    def work() -> None:
+        while True:
+            with next_one:
+                index, item = next(todo, (-1, None))
+            if index < 0:
+                return
+            try:
+                results[index] = f(item)  # pyright: ignore[reportArgumentType]
+                ended.put(None)
+            except BaseException as error:
+                ended.put(error)
+
+    for _ in range(min(threads, len(items))):
+        _lend_thread(work)
     try:
-        futures = [pool.submit(f, item) for item in items]
-        for done, future in enumerate(as_completed(futures), start=1):
-            future.result()
+        for done in range(1, len(items) + 1):
+            error = ended.get()
+            if error is not None:
+                raise error
             if progress:
                 progress(done / len(items))
-        return [future.result() for future in futures]
+        return results
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+        with next_one:
+            todo = iter(())
+
+
+# Threads wait for the next work rather than end: starting one can take as long as a whole search of a small set.
+_waiting: list[SimpleQueue] = []
+_threads: list[tuple[threading.Thread, SimpleQueue]] = []
+
+
+def _lend_thread(work: Callable[[], None]) -> None:
+    """Run something on a thread that has nothing to do, a new one if there is none."""
+    try:
+        inbox = _waiting.pop()
+    except IndexError:
+        inbox = SimpleQueue()
+        thread = threading.Thread(target=_serve, args=(inbox,), daemon=True)
+        _threads.append((thread, inbox))
+        thread.start()
+    inbox.put(work)
+
+
+def _serve(inbox: SimpleQueue) -> None:
+    while (work := inbox.get()) is not None:
+        work()
+        del work
+        _waiting.append(inbox)
+
+
+@atexit.register
+def _end_threads() -> None:
+    """A kernel must not be at work while the process is taken apart."""
+    for _, inbox in _threads:
+        inbox.put(None)
+    for thread, _ in _threads:
+        thread.join()
+
+
+if hasattr(os, "register_at_fork"):  # a forked process has none of the threads
+    os.register_at_fork(after_in_child=lambda: (_waiting.clear(), _threads.clear()))
 
 
 class Executor(Protocol):

@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import Any, NamedTuple
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from wakefold import store
 from wakefold.dendrogram import largest_between, range_maxima
+from wakefold.distance import in_units
 from wakefold.features import MARGIN, Boxes, boxes_of, features_of, frame_of, in_lanes
 from wakefold.parallel import Executor, Progress, Threads
 from wakefold.tracks import Floats, Tracks
@@ -34,6 +36,7 @@ GROWTH = 1.5  # of the radius; smaller means fewer distances and more searches
 TRACKS = 2048  # tracks to a piece of the search, on average
 ROOM = 1 << 15  # pairs a piece of the search may find before their distances are computed
 PIECE = 1 << 22  # cells of the dynamic programme in one piece of work, at least: a millisecond
+LONG = 64  # points of the mean track from which on distances are computed in float32 first
 PIECES = 4096  # pieces of work in a batch of distances, at most
 FADE, RISE = 0.75, 3  # of the time each radius takes, see Estimate
 
@@ -62,6 +65,9 @@ class Work(NamedTuple):
     executor: Executor
     points: Any  # of the tracks, as the executor shares them
     offsets: Any
+    singles: Any  # the points in float32 where tracks are long, else None
+    exponent: int  # of 2, the unit of the singles in metres
+    extent: float  # no two points are further apart, metres
 
 
 class Estimate:
@@ -135,7 +141,9 @@ def spanning_tree(
     forest, settled = _begin(checkpoint, fingerprint, boxes.order)
     executor = executor or Threads(threads)
     share = executor.share
-    work = Work(tracks, executor, share(tracks.points), share(tracks.offsets))
+    (singles,), exponent = in_units([tracks.points], "float32") if len(tracks.points) >= LONG * count else ([None], 0)
+    singles = None if singles is None else share(singles)
+    work = Work(tracks, executor, share(tracks.points), share(tracks.offsets), singles, exponent, unit)
     shape = tuple(map(share, (boxes.features, in_lanes(boxes), boxes.bounds, boxes.low, boxes.high)))
     part, box_part = np.arange(count), np.empty(len(boxes.low), dtype=np.int64)
     pieces = max(16, count // TRACKS)
@@ -252,28 +260,45 @@ def _evaluate(work: Work, order: Ints, a: Ints, b: Ints, bound: Floats, forest: 
         a, b: ``(n,)`` box positions.
         bound: ``(n,)`` lower bounds of their distances, metres.
     """
+    from wakefold.kernels.frechet_tree import useful_pairs
+
     by = np.argsort(bound, kind="stable")
     a, b, bound = a[by], b[by], bound[by]
-    every, size = len(a), max(512, len(order) // 8)
-
-    def tell(share: float) -> None:
-        """Of the batch at work."""
-        progress(1 - (len(a) - share * min(size, len(a))) / every)
-
-    while True:
-        # What the forest joins at or below the lower bound of a pair, the pair cannot join earlier.
-        useful = forest.joined_at(a, b) > bound
-        a, b, bound = a[useful], b[useful], bound[useful]
-        if len(a) == 0:
-            return forest
-        heights = _distances(work, order[a[:size]], order[b[:size]], tell)
-        forest = _grow(forest, a[:size], b[:size], heights, len(order))
-        a, b, bound = a[size:], b[size:], bound[size:]
+    start, size = 0, max(512, len(order) // 8)
+    while start < len(a):
+        begin, batch = start, np.empty(size, dtype=np.int64)
+        start, count = useful_pairs(a, b, bound, begin, forest.rank, forest.maxima, batch)
+        first, second = a[batch[:count]], b[batch[:count]]
+        if count and work.singles is not None:
+            near = _sift(work, order, first, second, forest)
+            first, second = first[near], second[near]
+        if len(first):
+            tell = partial(_tell, progress, begin / len(a), start / len(a))
+            heights = _distances(work, work.points, order[first], order[second], tell)
+            forest = _grow(forest, first, second, heights, len(order))
         size += size // 2
+    return forest
 
 
-def _distances(work: Work, a: Ints, b: Ints, progress: Progress) -> Floats:
-    """Fréchet distances ``(n,)`` of pairs of tracks."""
+def _tell(progress: Progress, begin: float, end: float, share: float) -> None:
+    """Of a part of the work, from ``begin`` to ``end`` of the whole."""
+    progress(begin + share * (end - begin))
+
+
+def _sift(work: Work, order: Ints, a: Ints, b: Ints, forest: Forest) -> NDArray[np.bool_]:
+    """Which of the pairs ``(n,)`` may improve the forest, by their distances in float32.
+
+    A pair that known edges and others of these pairs join, even at their upper bounds, below its own lower bound
+    is of no use. Those others, all in a forest of upper bounds, are kept.
+    """
+    distance = np.ldexp(_distances(work, work.singles, order[a], order[b], lambda share: None), work.exponent)
+    error = 2.0**-23 * (work.extent + 4 * distance)  # twice what docs/filtration.md derives: it has the exact distance
+    trial = _grow(forest, a, b, distance + error, len(order))
+    return trial.joined_at(a, b) >= distance - error
+
+
+def _distances(work: Work, points: Any, a: Ints, b: Ints, progress: Progress) -> Floats:
+    """Fréchet distances ``(n,)`` of pairs of tracks with these points."""
     lengths = work.tracks.lengths
     swap = lengths[a] < lengths[b]
     a, b = np.where(swap, b, a), np.where(swap, a, b)
@@ -282,7 +307,7 @@ def _distances(work: Work, a: Ints, b: Ints, progress: Progress) -> Floats:
     cells = np.cumsum(lengths[pairs[0]] * lengths[pairs[1]])
     piece = cells // max(PIECE, cells[-1] // PIECES)
     pieces = np.split(pairs, np.flatnonzero(np.diff(piece)) + 1, axis=1)
-    found = work.executor.map(_measure, pieces, (work.points, work.offsets), progress)
+    found = work.executor.map(_measure, pieces, (points, work.offsets), progress)
     out = np.empty(len(by))
     out[by] = np.concatenate(found)
     return out

@@ -16,6 +16,17 @@ def find(root, x):
     return x
 
 
+@inner
+def largest(maxima, i, j):
+    """``max(gaps[i:j])`` from the table of ``wakefold.dendrogram.range_maxima``, 0 where i = j."""
+    if i == j:
+        return 0.0
+    k = 0
+    while 2 << k <= j - i:
+        k += 1
+    return max(maxima[k, i], maxima[k, j - (1 << k)])
+
+
 @kernel
 def name_merges(edges, heights, winner, loser):
     """The clusters that merges join, each named by its smallest track.

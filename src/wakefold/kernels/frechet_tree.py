@@ -7,16 +7,8 @@ from __future__ import annotations
 import numpy as np
 
 from wakefold.kernels.compile import inner, kernel, ordered_inner, ordered_kernel
+from wakefold.kernels.dendrogram import find, largest
 from wakefold.kernels.simd import fill, higher, load, magnitude, minus, plus, store, times, within
-
-
-@kernel
-def find(root, x):
-    """Representative of the set of x; halves the path to it."""
-    while root[x] != x:
-        root[x] = root[root[x]]
-        x = root[x]
-    return x
 
 
 @kernel
@@ -53,6 +45,30 @@ def grow_forest(first, second, heights, taken, order, gaps):
                     gaps[rank] = above[y]
                 y = after[y]
                 rank += 1
+
+
+@kernel
+def useful_pairs(first, second, bound, start, rank, maxima, out):
+    """The next pairs that could improve a forest: it does not join them at or below the bound of their distance.
+
+    Args:
+        first, second, bound: ``(n,)`` pairs of tracks.
+        start: the pair to begin with.
+        rank: ``(M,)`` of each track in the order of the forest.
+        maxima: range maxima of its gaps, see ``wakefold.dendrogram.range_maxima``.
+        out: room for the indices of the pairs.
+
+    Returns:
+        the pair to go on with, n when all have been looked at, and the number of pairs written.
+    """
+    count = 0
+    while start < len(first) and count < len(out):
+        i, j = rank[first[start]], rank[second[start]]
+        if largest(maxima, min(i, j), max(i, j)) > bound[start]:
+            out[count] = start
+            count += 1
+        start += 1
+    return start, count
 
 
 @kernel

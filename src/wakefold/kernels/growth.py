@@ -5,19 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from wakefold.kernels.compile import inner, kernel
+from wakefold.kernels.dendrogram import largest
 from wakefold.kernels.frechet import track_against_tracks
 from wakefold.kernels.search import gap_squared
-
-
-@inner
-def largest(maxima, i, j):
-    """``max(gaps[i:j])`` from the table of ``wakefold.dendrogram.range_maxima``, 0 where i = j."""
-    if i == j:
-        return 0.0
-    k = 0
-    while 2 << k <= j - i:
-        k += 1
-    return max(maxima[k, i], maxima[k, j - (1 << k)])
 
 
 @inner
