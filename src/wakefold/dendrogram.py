@@ -26,10 +26,19 @@ def leaf_order(edges: Ints, heights: Floats) -> tuple[Ints, Floats]:
 
     winner, loser = np.empty((2, len(edges)), dtype=np.int64)
     name_merges(np.ascontiguousarray(edges), heights, winner, loser)
-    by = np.lexsort((loser, heights))
+    by = _sorted_within_ties(heights, loser)
     order, gaps = np.empty(len(edges) + 1, dtype=np.int64), np.empty(len(edges))
     chain(winner[by], loser[by], heights[by], order, gaps)
     return order, gaps
+
+
+def _sorted_within_ties(rising: Floats, then: Ints) -> Ints:
+    """``np.lexsort((then, rising))`` of numbers that rise already, quick where few are equal."""
+    by = np.arange(len(rising))
+    same = rising[1:] == rising[:-1]
+    tied = np.flatnonzero(np.append(same, False) | np.append(False, same))
+    by[tied] = tied[np.lexsort((then[tied], rising[tied]))]
+    return by
 
 
 def leaf_order_of_matrix(distances: Floats, method: str) -> tuple[Ints, Floats]:
@@ -55,18 +64,21 @@ def classes(order: Ints, gaps: Floats) -> dict[str, NDArray]:
     from wakefold.kernels.dendrogram import nest
 
     tracks = len(order)
-    if tracks == 0 or order.shape != (tracks,) or not np.array_equal(np.sort(order), np.arange(tracks)):
+    rank = np.full(tracks, -1)
+    if tracks and order.shape == (tracks,) and order.min() >= 0 and order.max() < tracks:
+        rank[order] = np.arange(tracks)
+    if tracks == 0 or (rank < 0).any():
         raise ValueError("order must be a permutation of the tracks, at least one")
     if gaps.shape != (tracks - 1,):
         raise ValueError(f"{tracks} tracks need {tracks - 1} gaps, got {gaps.shape}")
     if not (np.isfinite(gaps).all() and (gaps >= 0).all()):
         raise ValueError("a height of the filtration is negative or not finite")
-    rank = np.empty(tracks, dtype=np.int64)
-    rank[order] = np.arange(tracks)
     low, high, above = np.empty((3, 2 * tracks - 1), dtype=np.int64)
     born = np.empty(2 * tracks - 1)
     count = nest(gaps.copy(), low, high, born, above)  # read-only arrays would be compiled for again
-    node_of = np.concatenate([rank, tracks + np.lexsort((low[tracks:count], born[tracks:count]))])
+    by = np.argsort(born[tracks:count], kind="stable")
+    merged = tracks + by[_sorted_within_ties(born[tracks:count][by], low[tracks:count][by])]
+    node_of = np.concatenate([rank, merged])
     class_of = np.empty(count, dtype=np.int64)
     class_of[node_of] = np.arange(count)
     above = above[node_of]

@@ -126,8 +126,11 @@ class Filtration:
         if linkage == "complete" and beyond_matrix:
             raise ValueError("complete linkage runs on the threads of this machine, without a checkpoint")
         if linkage == "single" and (beyond_matrix or len(tracks) > _SMALL or len(tracks.points) > _SMALL_POINTS):
-            tree = spanning_tree(tracks, threads, progress, executor=executor, checkpoint=checkpoint)
-            return cls(*dendrogram.leaf_order(*tree), tracks.ids, linkage)
+            index = TrackIndex(tracks, threads)
+            tree = spanning_tree(tracks, threads, progress, executor=executor, checkpoint=checkpoint, index=index)
+            fitted = cls(*dendrogram.leaf_order(*tree), tracks.ids, linkage)
+            fitted.__dict__["_index"] = index  # queries and new tracks ask for it again
+            return fitted
         return cls.from_distances(frechet_matrix(tracks, threads=threads, progress=progress), tracks.ids, linkage)
 
     def extend(self, tracks: Tracks, new: Tracks, threads: int | None = None) -> Filtration:

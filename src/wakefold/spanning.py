@@ -23,8 +23,9 @@ from numpy.typing import NDArray
 from wakefold import store
 from wakefold.dendrogram import largest_between, range_maxima
 from wakefold.distance import in_units
-from wakefold.features import MARGIN, Boxes, boxes_of, features_of, frame_of, in_lanes
+from wakefold.features import MARGIN, Boxes, in_lanes
 from wakefold.parallel import Executor, Progress, Threads
+from wakefold.search import TrackIndex
 from wakefold.tracks import Floats, Tracks
 
 Ints = NDArray[np.int64]
@@ -116,6 +117,7 @@ def spanning_tree(
     *,
     executor: Executor | None = None,
     checkpoint: Directory | None = None,
+    index: TrackIndex | None = None,
 ) -> tuple[Ints, Floats]:
     """A minimum spanning tree: edges ``(M - 1, 2)`` and heights ``(M - 1,)``, rising, the bits of ``frechet_matrix``.
 
@@ -126,6 +128,7 @@ def spanning_tree(
         executor: where searches and distances run, these threads by default; the tree does not depend on it.
         checkpoint: directory that keeps the edges known, renewed many times in each radius. If it is there, the work
             goes on from it; the heights, and so the classes, are those of a run that was never interrupted.
+        index: of the tracks, if it is at hand.
 
     Raises:
         ValueError: positions so far apart that a distance overflows; a checkpoint that is damaged or of other tracks.
@@ -134,8 +137,8 @@ def spanning_tree(
 
     estimate = Estimate(progress)
     count = len(tracks)
-    frame = frame_of(tracks.points)
-    boxes, unit = boxes_of(features_of(tracks, frame, threads)), frame.unit
+    index = index or TrackIndex(tracks, threads)
+    boxes, unit = index.boxes, index.frame.unit
     margin = MARGIN * unit
     fingerprint = _fingerprint(tracks) if checkpoint is not None else ""
     forest, settled = _begin(checkpoint, fingerprint, boxes.order)
