@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp, roots_jacobi
+from scipy.spatial.distance import cdist
+from scipy.special import roots_jacobi
 
 from wakefold.deviation import Deviation
+from wakefold.kernels.reports import shares_near
 from wakefold.particles import along
 
 if TYPE_CHECKING:
@@ -23,23 +25,27 @@ Reporter = Callable[[Floats, np.random.Generator], Ints]
 """Classes ``(n,)`` that somebody would report of agents at positions ``(n, d)``, with the reporter's own errors."""
 
 NODES = 16  # of the quadrature: exact up to 31 reports, close beyond
-PRIOR = 2.0  # reports that every track is taken to have had before the simulation
+PRIOR = 2.0  # reports by chance that are taken to have been made at every place before the simulation
+WIDTHS = (0.25, 0.5, 1.0, 2.0)  # of the median scale of the tracks
 
 
 @dataclass(frozen=True, eq=False)
 class Confusion:
-    """How often agents of each track are reported to be of each class.
+    """Which classes are reported of agents at some place: reports about simulated agents, smoothed.
+
+    The reporter sees where an agent is and not where it is bound, so where the agent is known, as after a fix, a report
+    hardly tells the tracks apart; where it is not, the report does, as every track has the agent elsewhere.
 
     Attributes:
-        shares: ``(M, C)`` of the reports about an agent of a track that name a class; rows sum to 1.
+        positions: ``(S, d)`` of the simulated agents. named: ``(S,)`` the class reported of each.
         chance: ``(C,)`` of reports that have nothing to do with the agent.
-        power: to which the probability of a report is raised, in [0, 1]: the reporter errs about one agent again and
-            again, so many reports tell less than as many independent ones would.
+        width: of the Gaussian kernel that reports are smoothed by, metres.
     """
 
-    shares: Floats
+    positions: Floats
+    named: Ints
     chance: Floats
-    power: float = 1.0
+    width: float
 
     @classmethod
     def learn(
@@ -48,20 +54,18 @@ class Confusion:
         reporter: Reporter,
         *,
         deviation: Deviation | None = None,
-        agents: int = 4,
-        reports: int = 12,
+        reports: int = 1000,
         seed: int = 0,
     ) -> Confusion:
         """Let the reporter name the classes of simulated agents, who stray from the tracks as agents do.
 
-        The power is the one under which the reports about one agent, with shares learned from all others, give its
-        track the largest mean log-probability.
+        The width is the one, of a quarter to twice the median scale of the tracks, under which every report is most
+        probable given all the others.
 
         Args:
             reporter: see ``Reporter``; asked once, about all positions.
             deviation: by default what the tracks show of one another.
-            agents: of each track, two or more; each keeps its offset from the track.
-            reports: about each agent, at even times along the track.
+            reports: shared out evenly over the tracks, each about an agent somewhere along its track.
 
         Raises:
             ValueError: the reporter does not name a class of the model for every position.
@@ -69,30 +73,32 @@ class Confusion:
         beside = Deviation.learn(model) if deviation is None else deviation
         tracks, classes = model.tracks, len(model.filtration.birth)
         rng = np.random.default_rng(seed)
-        owner = np.repeat(np.arange(len(tracks)), agents)
-        sizes = beside.scales[owner] * np.tile(beside.quantiles(agents), len(tracks))
-        offsets = sizes[:, None] * rng.normal(size=(len(owner), tracks.dim))
-        share = (np.arange(reports) + rng.random((len(owner), reports))) / reports
-        places = along(tracks, np.repeat(owner, reports), share.ravel()) + np.repeat(offsets, reports, axis=0)
+        each = len(tracks) / reports
+        at = each * np.arange(reports)  # track and, behind the point, how far along it
+        owner, share = at.astype(np.int64), (at + each * rng.random(reports)) % 1.0
+        sizes = beside.scales[owner] * np.resize(beside.quantiles(4), reports)
+        places = along(tracks, owner, share) + sizes[:, None] * rng.normal(size=(reports, tracks.dim))
         named = np.asarray(reporter(places, rng), dtype=np.int64)
         if named.shape != (len(places),) or named.min() < 0 or named.max() >= classes:
             raise ValueError(f"the reporter must name a class, 0 to {classes - 1}, for each of {len(places)} positions")
-        heard = np.zeros((len(owner), classes))
-        np.add.at(heard, (np.repeat(np.arange(len(owner)), reports), named), 1.0)
-        chance = 0.5 * heard.sum(axis=0) / heard.sum() + 0.5 / classes
-        counts = heard.reshape(len(tracks), agents, classes).sum(axis=1) + PRIOR * chance
-        shares = counts / counts.sum(axis=1, keepdims=True)
-        others = counts[owner] - heard
-        own = (heard * np.log(others / others.sum(axis=1, keepdims=True))).sum(axis=1)
-        logs = heard @ np.log(shares).T
-        logs[np.arange(len(owner)), owner] = own
-        powers = np.linspace(0.0, 1.0, 41)
-        scores = [np.mean(p * own - logsumexp(p * logs, axis=1)) for p in powers]
-        return cls(shares, chance, float(powers[np.argmax(scores)]))
+        chance = 0.5 * np.bincount(named, minlength=classes) / reports + 0.5 / classes
+        apart2, alike = cdist(places, places, "sqeuclidean"), named[:, None] == named
+        np.fill_diagonal(apart2, np.inf)
+        widths = np.array(WIDTHS) * float(np.median(beside.scales))
+        scores = []
+        for width in widths:
+            near = np.exp(-0.5 * apart2 / width**2)
+            right = (near * alike).sum(axis=1) + PRIOR * chance[named]
+            scores.append(np.log(right / (near.sum(axis=1) + PRIOR)).mean())
+        return cls(places, named, chance, float(widths[np.argmax(scores)]))
 
-    def probability(self, class_: int, tracks: Ints) -> tuple[Floats, float]:
-        """Of a report of a class about agents of ``tracks`` (n,), ``(n,)``; and of one about nobody."""
-        return self.shares[tracks, class_], float(self.chance[class_])
+    def probability(self, class_: int, points: Floats, covs: Floats) -> tuple[Floats, float]:
+        """Of a report of a class about agents at ``points (n, d)``, give or take ``covs (n, d, d)``, ``(n,)``; and of
+        one about nobody.
+        """
+        chance, out, dims = float(self.chance[class_]), np.empty(len(points)), (0,) * points.shape[1]
+        shares_near(points, covs, self.width**2, self.positions, self.named == class_, PRIOR, chance, out, dims)
+        return out, chance
 
 
 class Reliability(NamedTuple):

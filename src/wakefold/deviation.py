@@ -7,12 +7,18 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import logsumexp
 
+from wakefold.dynamics import Dynamics
+from wakefold.kernels import components
 from wakefold.model import Model
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 MOST = 300  # tracks that are held out
 PIECES = 4  # of a track, each with offsets of its own
+RIVALS = 30  # tracks that are held out to see how far fixes tell tracks apart
+KINDS = 3  # ratios that stand for all
 LEAST = 0.1  # of the median scale, and ratio: equal tracks do not show that agents never stray
 
 
@@ -27,16 +33,30 @@ class Deviation(NamedTuple):
         ratios: ``(k,)`` equally likely, rising.
         rate: at which the offset is forgotten, 1/s.
         along: noise along the heading, m/sqrt(s); at least the noise across, which is sd * sqrt(2 rate).
+        power: to which the probability of a fix is raised where it tells tracks apart, in (0, 1]: whoever goes its own
+            way now does so at the next step, so many fixes tell less than as many independent ones would.
     """
 
     scales: Floats
     ratios: Floats
     rate: float
     along: float
+    power: float = 1.0
 
     def quantiles(self, number: int) -> Floats:
         """So many equally likely ratios that stand for all, ``(number,)``."""
         return np.quantile(self.ratios, (np.arange(number) + 0.5) / number)
+
+    def advance(
+        self, dynamics: Dynamics, points: Floats, covs: Floats, spreads: Floats, classes: Ints, dt: float
+    ) -> None:
+        """Move Gaussians (n, d), (n, d, d) of long-run sd ``spreads`` (n,) beside their tracks, in place."""
+        parts = dynamics.substeps(dt)
+        h = dt / max(parts, 1)
+        across2 = spreads**2 * -math.expm1(-2.0 * self.rate * h)
+        along2 = np.maximum(self.along**2 * h, across2)
+        motion = (parts, h, math.exp(-self.rate * h), across2, along2)
+        components.advance(points, covs, classes, *motion, *dynamics.ground)
 
     @classmethod
     def learn(cls, model: Model) -> Deviation:
@@ -48,6 +68,9 @@ class Deviation(NamedTuple):
         point to the next, but at least one in a median duration: an offset is not known to last beyond a track. The
         noise along the heading is what the velocities of the two tracks differ by. A single track shows nothing of
         this: its noise, in all directions, is the model's.
+
+        The power is the one under which the points of a track that is held out, taken for fixes, give the other tracks
+        of its parent class the largest mean log-probability; of at most 30 tracks. 1 if no parent tells tracks apart.
         """
         tracks, dynamics, step = model.tracks, model.dynamics, model.dynamics.interval
         rate = 1.0 / (float(np.median(tracks.duration)) or step)
@@ -80,12 +103,49 @@ class Deviation(NamedTuple):
                 steps += len(own) - 1
         kept = products / squares if squares > 0 else 1.0
         rate = max(-math.log(max(kept, math.exp(-1.0))) / step, rate)
-        return cls(
+        learned = cls(
             np.maximum(scales, least),
             np.sort(np.maximum(ratios, LEAST)),
             rate,
             math.sqrt(lag / steps) if steps else 0.0,
         )
+        return learned._replace(power=_power(model, learned))
+
+
+def _power(model: Model, beside: Deviation) -> float:
+    """See ``Deviation.learn``."""
+    tracks, tree = model.tracks, model.filtration
+    powers = np.linspace(0.0, 1.0, 41)[1:]
+    scores = np.zeros(len(powers))
+    for track in np.unique(np.linspace(0, len(tracks) - 1, min(RIVALS, len(tracks))).round().astype(np.int64)):
+        relatives = tree.members(int(tree.parent[track]))
+        if len(relatives) == len(tracks):
+            continue
+        rivals = np.unique(np.linspace(0, len(tracks) - 1, min(MOST, len(tracks))).round().astype(np.int64))
+        rivals = np.setdiff1d(np.union1d(rivals, relatives[:MOST]), [track])
+        told = _told(model, beside, int(track), rivals)
+        related = np.isin(rivals, relatives)
+        told = np.maximum(told - told.max(axis=1, keepdims=True), -700.0)  # so that no probability is zero
+        masses = np.exp(powers[:, None, None] * told)
+        scores += np.log(masses[:, :, related].sum(axis=2) / masses.sum(axis=2)).mean(axis=1)
+    return float(powers[scores.argmax()]) if scores.any() else 1.0
+
+
+def _told(model: Model, beside: Deviation, track: int, rivals: Ints) -> Floats:
+    """``(n, R)`` log-probability of a track up to each of its points, beside each rival from its nearest point on."""
+    tracks, dynamics = model.tracks, model.dynamics
+    ratios = beside.quantiles(KINDS)
+    first = [tracks[int(r)][np.square(tracks[int(r)] - tracks[track][0]).sum(axis=1).argmin()] for r in rivals]
+    points, classes = np.repeat(first, len(ratios), axis=0), np.repeat(rivals, len(ratios))
+    spreads = beside.scales[classes] * np.tile(ratios, len(rivals))
+    covs = np.eye(tracks.dim) * np.square(spreads)[:, None, None]
+    log_g = np.empty((len(tracks[track]), len(classes)))
+    steps = np.diff(tracks.times_of(track), prepend=tracks.times_of(track)[0])
+    for k, (fix, dt) in enumerate(zip(tracks[track], steps, strict=True)):
+        beside.advance(dynamics, points, covs, spreads, classes, float(dt))
+        components.correct(points, covs, fix, model.sd**2 + dynamics.floor**2, log_g[k], dynamics.dims)
+    sums = np.cumsum(log_g, axis=0).reshape(len(log_g), len(rivals), len(ratios))
+    return logsumexp(sums, axis=2)
 
 
 def _others(model: Model, track: int, held_out: int) -> tuple[list[int], Floats]:

@@ -92,6 +92,8 @@ class Scores(NamedTuple):
 def job(setting: Setting, method: Method, size: Size, stack: bool = False) -> Job:
     """A method under a setting; ``stack`` asks for the estimate from the whole stack, at four times the cost."""
     scenarios = size.tanker_scenarios if setting.data == "tankers" else size.scenarios
+    if method.filter == "calibrated":  # it knows nothing of these, so what they are need not be run again
+        setting = setting._replace(kappa=0.0, epsilon="default")
     spec = {
         "setting": setting._asdict(),
         "method": method._asdict(),
@@ -138,13 +140,16 @@ _scenario = lru_cache(maxsize=64)(Scenario)
 def knowledge(setting: Setting, truth: int, seed: int) -> Known:
     """Learned from the training tracks, by simulation as if no report were wrong; the same for all noises κ."""
     alike = setting._replace(kappa=0.0, lead_in=None, wrong=0.0, epsilon="default", coarse=float(setting.coarse > 0.0))
-    deviation = _deviation(setting.data, setting.linkage, truth if setting.truth == "out" else None)
-    return Known(deviation, _confusion(alike, truth, seed) if setting.coarse else None)
+    return Known(_deviation_of(alike, truth), _confusion(alike, truth, seed) if setting.coarse else None)
+
+
+def _deviation_of(setting: Setting, truth: int) -> Deviation:
+    return _deviation(setting.data, setting.linkage, setting.psi, truth if setting.truth == "out" else None)
 
 
 @lru_cache(maxsize=64)
-def _deviation(data: str, linkage: str, without: int | None) -> Deviation:
-    setting = Setting(data, "in" if without is None else "out", 0.0, 0.01, linkage=linkage)
+def _deviation(data: str, linkage: str, psi: float, without: int | None) -> Deviation:
+    setting = Setting(data, "in" if without is None else "out", 0.0, psi, linkage=linkage)
     return Deviation.learn(Scenario(setting, without or 0).model)
 
 
@@ -152,8 +157,7 @@ def _deviation(data: str, linkage: str, without: int | None) -> Deviation:
 def _confusion(setting: Setting, truth: int, seed: int) -> Confusion:
     scenario = _scenario(setting, truth)
     assert scenario.reporter is not None
-    deviation = _deviation(setting.data, setting.linkage, truth if setting.truth == "out" else None)
-    return Confusion.learn(scenario.model, scenario.reporter, deviation=deviation, seed=seed)
+    return Confusion.learn(scenario.model, scenario.reporter, deviation=_deviation_of(setting, truth), seed=seed)
 
 
 @lru_cache(maxsize=512)

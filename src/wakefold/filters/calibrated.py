@@ -60,7 +60,7 @@ class Calibrated(ParticleFilter):
             agent is started (or found again), and no other track is thought of.
         sd: of a fix that does not tell its own, metres; the model's by default.
         deviation: how agents move beside their tracks; by default what the tracks show of one another.
-        confusion: what reports of coarse evidence say about agents of each class; by default the confidence that each
+        confusion: what reports of coarse evidence say about where agents are; by default the confidence that each
             report gives.
         reliability: beta prior of the share of reports that are genuine, which is inferred with the class; the rest may
             name any class. None: all are.
@@ -211,8 +211,11 @@ class Calibrated(ParticleFilter):
             if lost or gain == -math.inf:
                 recoveries += 1
                 cloud = self._recovered(belief, cloud._replace(log_weights=before), item, level)
-            else:
-                logs -= gain
+                continue
+            if isinstance(item, Fix) and self.deviation.power < 1.0:
+                components.temper(logs, before, cloud.classes, self.deviation.power, len(tree))
+                gain = kernel.log_sum(logs)
+            logs -= gain
         return Belief(
             tree=tree,
             points=cloud.points,
@@ -236,13 +239,7 @@ class Calibrated(ParticleFilter):
 
     def _advance(self, cloud: _Cloud, dt: float) -> None:
         """Move the components in place."""
-        dynamics, beside = self.model.dynamics, self.deviation
-        parts = dynamics.substeps(dt)
-        h = dt / max(parts, 1)
-        across2 = cloud.spreads**2 * -math.expm1(-2.0 * beside.rate * h)
-        along2 = np.maximum(beside.along**2 * h, across2)
-        motion = (parts, h, math.exp(-beside.rate * h), across2, along2)
-        components.advance(cloud.points, cloud.covs, cloud.classes, *motion, *dynamics.ground)
+        self.deviation.advance(self.model.dynamics, cloud.points, cloud.covs, cloud.spreads, cloud.classes, dt)
 
     def _correct(self, points: Floats, covs: Floats, fix: Fix) -> tuple[Floats, float]:
         """Correct components in place; their log-likelihoods, and how many sd the fix is away from the nearest."""
@@ -254,8 +251,8 @@ class Calibrated(ParticleFilter):
 
     def _report(self, cloud: _Cloud, item: CoarseClass, level: float) -> tuple[Floats, float, float]:
         """Probability of a report about an agent of each component if it is genuine, (n,), and if not; the power."""
-        if self.confusion is not None:
-            return *self.confusion.probability(item.class_, cloud.classes), self.confusion.power
+        if self.confusion is not None:  # such a report tells where the agent is, as a fix does
+            return *self.confusion.probability(item.class_, cloud.points, cloud.covs), self.deviation.power
         tree = self.model.filtration
         others = len(tree.cuts(level)) - 2
         if others == 0:

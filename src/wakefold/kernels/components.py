@@ -129,6 +129,29 @@ def mix_classes(log_weights, classes, share, leaves):
 
 
 @kernel
+def temper(log_weights, before, classes, power, leaves):
+    """Raise to a power what evidence has just told tracks apart by, in place; nothing is normalised.
+
+    The factor by which the mass of a track has changed, from log-weights ``before`` (n,) to ``log_weights`` (n,), is
+    raised to ``power``. Weights inside a track keep their proportions. Classes (n,) are below ``leaves``.
+    """
+    peaks, sums = np.full((2, leaves), -np.inf), np.zeros((2, leaves))
+    for i in range(len(classes)):
+        peaks[0, classes[i]] = max(peaks[0, classes[i]], before[i])
+        peaks[1, classes[i]] = max(peaks[1, classes[i]], log_weights[i])
+    for i in range(len(classes)):
+        c = classes[i]
+        if peaks[1, c] > -np.inf:  # so there was some mass before, too
+            sums[0, c] += math.exp(before[i] - peaks[0, c])
+            sums[1, c] += math.exp(log_weights[i] - peaks[1, c])
+    for i in range(len(classes)):
+        c = classes[i]
+        if peaks[1, c] > -np.inf:
+            gain = peaks[1, c] - peaks[0, c] + math.log(sums[1, c] / sums[0, c])
+            log_weights[i] -= (1.0 - power) * gain
+
+
+@kernel
 def weigh_report(log_weights, genuine, chance, power, trust, nodes):
     """Multiply weights by the probability of a report, and learn how far such reports can be trusted.
 

@@ -1,4 +1,4 @@
-"""Which class is most likely to have made some points: who names classes in the papers' experiments."""
+"""Who names classes in the papers' experiments, and which classes are named of agents near some place."""
 
 import math
 
@@ -47,3 +47,40 @@ def name_classes(distances, leaves, parent, size, diagonal, out):
                 ahead = best < 0 or met[c] > met[best] or (met[c] == met[best] and score[c] > score[best])
                 best = c if ahead else best
         out[r] = best
+
+
+@kernel
+def shares_near(points, covs, width2, places, hits, prior, chance, out, dims):
+    """Share of the reports near each of some Gaussians that name a class, into ``out`` (n,).
+
+    Reports weigh exp(-m / 2), m being the squared Mahalanobis distance from the Gaussian widened by ``width2``, and
+    nothing beyond m = 36; ``prior`` more reports name the class at the rate ``chance``.
+
+    Args:
+        points: (n, d). covs: (n, d, d). places: (S, d) of the reports. hits: (S,) whether they name the class.
+    """
+    d = len(dims)
+    root, gap = np.empty((d, d)), np.empty(d)
+    for i in range(len(points)):
+        for j in range(d):  # Cholesky factor
+            for k in range(j + 1):
+                total = covs[i, j, k] + (width2 if j == k else 0.0)
+                for m in range(k):
+                    total -= root[j, m] * root[k, m]
+                root[j, k] = math.sqrt(total) if j == k else total / root[k, k]
+        for j in range(d):
+            root[j, j] = 1.0 / root[j, j]
+        hit, near = prior * chance, prior
+        for s in range(len(places)):
+            apart2 = 0.0
+            for j in range(d):
+                total = places[s, j] - points[i, j]
+                for m in range(j):
+                    total -= root[j, m] * gap[m]
+                gap[j] = total * root[j, j]
+                apart2 += gap[j] * gap[j]
+            if apart2 < 36.0:
+                weight = math.exp(-0.5 * apart2)
+                near += weight
+                hit += weight if hits[s] else 0.0
+        out[i] = hit / near
