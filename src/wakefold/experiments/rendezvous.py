@@ -16,10 +16,9 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-from wakefold.detections import Detections
-from wakefold.experiments.registry import Claim, Job, Section, Size, Table
+from wakefold.experiments.registry import Job, Section, Size
+from wakefold.experiments.rendezvous_filter import phases, together
 from wakefold.experiments.rendezvous_rivals import (
-    SPEED,
     Motion,
     Rule,
     States,
@@ -34,17 +33,7 @@ from wakefold.experiments.rendezvous_rivals import (
     threshold,
     two_class,
 )
-from wakefold.experiments.rendezvous_scenes import DT, EASY, HARD, STEPS, Scenes, scenes
-from wakefold.filters.relational import RelationalFilter
-from wakefold.relations import (
-    ConstantVelocity,
-    Relation,
-    RelationalModel,
-    couple_velocity,
-    near,
-    same_velocity,
-    slow,
-)
+from wakefold.experiments.rendezvous_scenes import EASY, HARD, Scenes, scenes
 
 TITLE = "Rendezvous of two ships against hidden Markov models and a rule (Manfredotti et al. 2011, Section 3)"
 Floats = NDArray[np.float64]
@@ -69,65 +58,9 @@ MODELS: dict[str, tuple[Callable[..., tuple[Floats, Floats]], str, States]] = {
     "HMM, phases decoded, filtered": (decoded, "filtered", States(3, 4)),
     "HMM, phases decoded, smoothed": (decoded, "smoothed", States(3, 2)),
 }
-FEW = ("HMM, two-class, filtered", "HMM, phases, filtered", "HMM, phases decoded, filtered")  # of the other conditions
-OURS, THEIRS = "relational filter", "rule"
-FAR = 300_000.0  # metres between scenes that one filter follows side by side
-FAINT = 0.1  # two ships are not together where it is less probable
-
-
-def model() -> RelationalModel:
-    """Two ships that may be together: near, slow, at one velocity."""
-    together = Relation(
-        "together",
-        ("ship", "ship"),
-        on_when=near(360.0) & slow(2.5) & same_velocity(0.75),
-        rate_on=1 / 600,
-        rate_off=1 / 1800,
-        rate_break=1 / 60,
-        couples=couple_velocity(k=0.1, noise=0.005),
-        seen_within=1200.0,
-    )
-    return RelationalModel(objects={"ship": ConstantVelocity(q=QS[0] ** 0.5, speed=SPEED)}, relations=[together])
-
-
-def belief(some: Scenes, sd: float, missing: float) -> tuple[Floats, Floats]:
-    """Probability of "together" ``(n, T)`` and positions ``(n, 2, T, 2)``, metres, in one pass of the filter.
-
-    The scenes lie far apart in one plane, so that one filter follows them all. A position that was not received is put
-    on the straight line between its neighbours, and the noise of all is taken as larger by as much as there are more of
-    them: the engine "collapsed" learns of a pair only when it sees both.
-    """
-    seen = received(some).position if missing else some.seen
-    n = len(seen)
-    f = RelationalFilter(model(), "collapsed", gate=3000.0, forget=1e9)
-    scene = f.start()
-    shift = np.column_stack([np.arange(n) * FAR, np.zeros(n)])[:, None]
-    ids = np.arange(2 * n)
-    p, position = np.zeros((n, STEPS)), np.empty_like(seen)
-    for t in range(STEPS):
-        places = (seen[:, :, t] + shift).reshape(-1, 2)
-        scene = f.step(scene, Detections(places, sd / np.sqrt(1 - missing), ids), dt=DT if t else 0.0)
-        pairs = scene.pairs[0]
-        p[scene.ids[pairs.first] // 2, t] = pairs.p
-        order = np.argsort(scene.ids)
-        position[:, :, t] = scene.mean[order, 0].reshape(n, 2, 2) - shift
-    return p, position
-
-
-def together(some: Scenes, sd: float, missing: float) -> tuple[Floats, Floats]:
-    """Scores: the longest time that two ships were probably together, weighed by how probably; and the positions.
-
-    The filter goes through a scene from either end, as its beginning is known best by what follows; each moment counts
-    by the surer of the two.
-    """
-    ahead, position = belief(some, sd, missing)
-    back, _ = belief(some._replace(seen=np.ascontiguousarray(some.seen[:, :, ::-1])), sd, missing)
-    p = np.maximum(ahead, back[:, ::-1])
-    run, longest = np.zeros(len(p)), np.zeros(len(p))
-    for t in range(STEPS):
-        run = (run + p[:, t]) * (p[:, t] > FAINT)
-        np.maximum(longest, run, out=longest)
-    return longest * DT, position
+FEW = ("HMM, two-class, smoothed", "HMM, phases decoded, smoothed")  # of the other conditions: the best of each sort
+OURS, COLLAPSED, THEIRS = "relational filter, in phases", "relational filter, collapsed", "rule"
+EVEN = "the same, more likely than not"  # no threshold learned
 
 
 def best_rule(taught: Mapping[float, Motion], positive: NDArray[np.bool_]) -> tuple[float, Rule, float]:
@@ -149,9 +82,12 @@ def split(spec: Mapping[str, Any]) -> dict[str, Any]:
     rng = np.random.default_rng([2011, spec["seed"], list(CONDITIONS).index(spec["condition"]), spec["split"]])
     taught, judged = (scenes(n, negatives, sd, rng, missing=missing) for n in (TAUGHT, JUDGED))
     out: dict[str, float] = {}
-    scores, _ = together(taught, sd, missing)
-    ours, position = together(judged, sd, missing)
+    _, scores, _ = phases(taught, sd)
+    _, ours, position = phases(judged, sd)
     out[OURS] = f1(ours > threshold(scores, taught.positive).score, judged.positive)
+    out[EVEN] = f1(ours > 0.0, judged.positive)
+    scores, theirs = (together(some, sd, missing) for some in (taught, judged))
+    out[COLLAPSED] = f1(theirs > threshold(scores, taught.positive).score, judged.positive)
     smoothed = {q: (kalman(taught, sd, q, smooth=True), kalman(judged, sd, q, smooth=True)) for q in QS}
     q, rule, least = best_rule({q: views[0] for q, views in smoothed.items()}, taught.positive)
     out[THEIRS] = f1(near_and_slow(smoothed[q][1], rule) > least, judged.positive)
@@ -161,7 +97,8 @@ def split(spec: Mapping[str, Any]) -> dict[str, Any]:
         learn, view, states = MODELS[name]
         x, asked = (features(motion) for motion in views[view])
         out[name] = _hmm(learn, x, taught, asked, judged, states, rng)
-    errors = {"relational filter": position, "Kalman filter": filtered[1].position}
+    plain = {f"Kalman filter, {q:g} m²/s³": kalman(judged, sd, q, smooth=False).position for q in QS}
+    errors = {OURS: position, **plain}
     # Before its first position was received, a ship is nowhere.
     known = np.isfinite(filtered[1].position)
     return {
@@ -196,50 +133,10 @@ def jobs(size: Size) -> list[Job]:
 
 
 def report(results: list[Any], size: Size, folder: Path) -> Section:
-    """Means, spreads and paired differences."""
-    given = jobs(size)
+    """Means, spreads, paired differences, and one scene of each kind."""
+    from wakefold.experiments.rendezvous_report import section
+
     by: dict[str, list[dict[str, Any]]] = {}
-    for job, result in zip(given, results, strict=True):
+    for job, result in zip(jobs(size), results, strict=True):
         by.setdefault(job.spec["condition"], []).append(result)
-    names = [OURS, THEIRS, *MODELS]
-    rows = []
-    for name in names:
-        cells = [[r["f1"][name] for r in found if name in r["f1"]] for found in by.values()]
-        rows.append([name, *(f"{np.mean(c):.3f} ± {np.std(c):.3f}" if c else "" for c in cells)])
-    head = ["", *by]
-    n = len(next(iter(by.values())))
-    tables = [
-        Table(f"F1: mean and standard deviation over {n} splits of {TAUGHT} + {JUDGED} scenes", head, rows),
-        Table(
-            "Error of the position: root mean square, metres, mean over the splits",
-            head,
-            [
-                [m, *(f"{np.mean([r['error'][m] for r in f]):.1f}" for f in by.values())]
-                for m in next(iter(by.values()))[0]["error"]
-            ],
-        ),
-    ]
-    first = next(iter(by.values()))
-    claims = []
-    for name in names[1:]:
-        mean, low, high = paired([r["f1"][OURS] - r["f1"][name] for r in first if name in r["f1"]])
-        published = "almost 20 % higher" if name.startswith("HMM, two-class") else ""
-        claims.append(
-            Claim(
-                f"F1 of the relational filter less that of: {name}", published, f"{mean:+.3f} [{low:+.3f}, {high:+.3f}]"
-            )
-        )
-    text = [
-        "The first experiment of the paper: does an observed pair of ships meet? Scenes are simulated, half of them "
-        "positive; hard negatives pass slowly or closely or anchor apart.",
-    ]
-    return Section(TITLE, text, claims=claims, tables=tables)
-
-
-def paired(differences: list[float]) -> tuple[float, float, float]:
-    """Mean of independent differences and its 95 % interval (Student)."""
-    from scipy.stats import t
-
-    mean = float(np.mean(differences))
-    half = float(t.ppf(0.975, len(differences) - 1) * np.std(differences, ddof=1) / np.sqrt(len(differences)))
-    return mean, mean - half, mean + half
+    return section(TITLE, by, folder, size.seed)
