@@ -50,6 +50,24 @@ def test_bits_of_the_definition_for_many_tracks_of_mixed_length(dim):
     np.testing.assert_array_equal(frechet_matrix(tracks[2:], tracks[:5]), expected[2:, :5])
 
 
+@pytest.mark.parametrize("dim", [1, 2, 3])
+@pytest.mark.parametrize("grid", [False, True])
+def test_distances_settled_by_the_end_points(dim, grid):
+    """Tracks whose distance is often, and as often just not, that of their first or last points: all bits the same."""
+    rng = np.random.default_rng(7 * dim + grid)
+    tracks = [rng.normal(0, 15, dim) + track for track in walks(rng, 30, dim, 40)]
+    tracks += [rng.normal(0, 15, dim) + track for track in np.cumsum(rng.normal(0, 1, (14, 25, dim)), axis=1)]
+    if grid:  # cells inside that equal those at the ends
+        tracks = [np.round(track) for track in tracks]
+    expected = np.array([[naive.frechet(a, b) for b in tracks] for a in tracks])
+    ends = np.array([[max(np.linalg.norm(a[0] - b[0]), np.linalg.norm(a[-1] - b[-1])) for b in tracks] for a in tracks])
+    assert 0.3 < np.isclose(ends, expected).mean() < 0.8
+    np.testing.assert_array_equal(frechet_matrix(tracks), expected)
+    rough = frechet_matrix(tracks, dtype="float32")
+    diagonal = Tracks.from_arrays(tracks).diagonal
+    assert (np.abs(rough - expected) <= 2.0**-24 * (diagonal + 4 * expected)).all()
+
+
 def test_coordinates_are_taken_as_given():
     """A fused multiply-add, a centred or a scaled copy of the coordinates would change the last bits here."""
     rng = np.random.default_rng(0)

@@ -54,7 +54,7 @@ def frechet_matrix(
         ValueError: an empty track or a position that is not finite (naming the track), different dimensions, or a
             distance that overflows.
     """
-    from wakefold.kernels.frechet import pack_columns, rows_against_columns
+    from wakefold.kernels.frechet import TILE, pack_columns, rows_against_columns
     from wakefold.kernels.simd import LANES
 
     if dtype not in LANES:
@@ -70,13 +70,15 @@ def frechet_matrix(
     (points, other_points), exponent = in_units([tracks.points, others.points], dtype)
 
     # Longest first: neighbours in a batch are of similar length, and each row meets only columns no longer than it.
-    rows, columns = (np.argsort(-each.lengths, kind="stable") for each in (tracks, others))
+    # Those equally long by place: what settles one distance of a batch is likely to settle the others.
+    rows, columns = (np.lexsort((each.points[each.offsets[:-1], 0], -each.lengths)) for each in (tracks, others))
     skip = np.arange(1, len(rows) + 1) if symmetric else np.zeros(len(rows), dtype=np.int64)
     lanes = LANES[dtype]
     width = others.lengths[columns[::lanes]]
-    begin = np.concatenate([[0], np.cumsum(width)])
+    begin = np.concatenate([[0], np.cumsum(-(-width // TILE) * TILE)])
     packed = np.empty(begin[-1] * tracks.dim * lanes, dtype=dtype)
-    pack_columns(other_points, others.offsets, columns, width, begin, packed)
+    boxes = np.empty(2 * len(packed) // TILE, dtype=dtype)
+    pack_columns(other_points, others.offsets, columns, width, begin, packed, boxes)
 
     cells = tracks.lengths[rows] * lanes * (begin[-1] - begin[np.minimum(skip // lanes, len(width))])
     piece = (np.cumsum(cells) - cells) // _CELLS
@@ -84,9 +86,9 @@ def frechet_matrix(
     axes = (0,) * tracks.dim
 
     def work(piece: NDArray[np.int64]) -> None:
-        rows_against_columns(
-            points, tracks.offsets, rows[piece], skip[piece], columns, width, begin, packed, axes, symmetric, out
-        )
+        of_rows, of_columns = (points, tracks.offsets), (other_points, others.offsets)
+        asked = rows[piece], skip[piece]
+        rows_against_columns(*of_rows, *asked, *of_columns, columns, width, begin, packed, boxes, axes, symmetric, out)
 
     thread_map(work, pieces, threads, progress)
     with np.errstate(over="ignore"):

@@ -18,9 +18,22 @@ from __future__ import annotations
 import numpy as np
 
 from wakefold.kernels.compile import inner, kernel
-from wakefold.kernels.simd import LANES, fill, higher, load, lower, point, squared_distance, store
+from wakefold.kernels.simd import (
+    LANES,
+    fill,
+    furthest_squared,
+    higher,
+    load,
+    lower,
+    point,
+    squared_distance,
+    store,
+    times,
+    within,
+)
 
 TILE = 4  # rows of the table carried through one sweep of the columns, so that each column is loaded a quarter as often
+BELOW = 1 - 2.0**-20  # below a square by more than fused products can change it
 LANES32, LANES64 = LANES["float32"], LANES["float64"]
 
 
@@ -87,59 +100,160 @@ def batch_squared(a, rows, b, columns, table, axes):
         corner = never
 
 
+@inner
+def box_blocks(batch, rows, d, boxes):
+    """Bounding boxes of the blocks of TILE points of a batch of ``rows`` points: a low and a high point each."""
+    stride = d * lanes_of(batch)
+    for block in range(rows // TILE):
+        for k in range(stride):
+            low = high = batch[block * TILE * stride + k]
+            for row in range(block * TILE + 1, (block + 1) * TILE):
+                low, high = min(low, batch[row * stride + k]), max(high, batch[row * stride + k])
+            boxes[2 * block * stride + k], boxes[(2 * block + 1) * stride + k] = low, high
+
+
+@inner
+def farthest_pair(a, row, down, b, column, right, axes):
+    """Largest squared distance of the pairs ``(row, column)``, and twice more, each so far further down and right."""
+    worst = squared_distance(point(a, row, axes), point(b, column, axes))
+    for k in range(1, TILE - 1):
+        p, q = point(a, row + k * down, axes), point(b, column + k * right, axes)
+        worst = higher(worst, squared_distance(p, q))
+    return worst
+
+
+@inner
+def settled_lanes(a, a_boxes, rows, b, b_boxes, columns, table, axes):
+    """Pairs of a batch whose Fréchet distance is that of their first or last points, as most are in distant pairs.
+
+    It is at least that. Equal to it is enough if some coupling keeps below it in between. Looked for are couplings
+    from block to block of TILE x TILE cells, a block costing the largest distance of its two boxes: a sixteenth of the
+    programme. In the first block and the last they go along cells.
+
+    Args:
+        a, b: batches of ``rows`` and ``columns`` points, multiples of TILE, two blocks at least.
+        a_boxes, b_boxes: of their blocks.
+        table: ``(>= columns / TILE * LANES,)`` scratch; the squared distances of the pairs found are left in its
+            first vector.
+        axes: tuple of d integers.
+
+    Returns:
+        bit mask of these lanes.
+    """
+    never, nothing = fill(table, np.inf), fill(table, 0.0)
+    down, across = rows // TILE, columns // TILE
+    first = squared_distance(point(a, 0, axes), point(b, 0, axes))
+    last = squared_distance(point(a, rows - 1, axes), point(b, columns - 1, axes))
+    ends = higher(first, last)
+    limit = times(ends, fill(table, BELOW))
+    for j in range(across):
+        store(table, j, never)
+    corner, left = nothing, never
+    for i in range(down):
+        low, high = point(a_boxes, 2 * i, axes), point(a_boxes, 2 * i + 1, axes)
+        least = left = never
+        for j in range(across if i < down - 1 else across - 1):
+            above = load(table, j)
+            cost = furthest_squared(low, high, point(b_boxes, 2 * j, axes), point(b_boxes, 2 * j + 1, axes))
+            if i + j == 0:
+                cost = farthest_pair(a, 1, 1, b, 1, 1, axes)
+            cost = higher(cost, lower(lower(above, corner), left))
+            store(table, j, cost)
+            corner, left, least = above, cost, lower(least, cost)
+        if i < down - 1:
+            corner = never
+            if within(least, nothing, limit) == 0:
+                return 0
+    from_above = higher(load(table, across - 1), farthest_pair(a, rows - TILE, 1, b, columns - 1, 0, axes))
+    from_left = higher(left, farthest_pair(a, rows - 1, 0, b, columns - TILE, 1, axes))
+    between = higher(corner, farthest_pair(a, rows - TILE, 1, b, columns - TILE, 1, axes))
+    store(table, 0, ends)
+    return within(lower(lower(from_above, from_left), between), nothing, limit)
+
+
 @kernel
-def pack_columns(points, offsets, columns, width, begin, out):
+def pack_columns(points, offsets, columns, width, begin, out, boxes):
     """Pack tracks into batches of LANES neighbours in ``columns``; the last batch repeats its last track.
 
     Args:
         points, offsets: ragged tracks.
         columns: ``(n,)`` track of each column, batches of similar length if it is sorted by length.
         width: ``(batches,)`` points of the longest track of each batch.
-        begin: ``(batches + 1,)`` first point of each batch in ``out``, counted in points of all lanes.
+        begin: ``(batches + 1,)`` first point of each batch in ``out``, counted in points of all lanes: each has its
+            width, rounded up to whole blocks of TILE points.
         out: flat, ``(begin[-1] * d * LANES,)``.
+        boxes: flat, ``(2 * begin[-1] / TILE * d * LANES,)``, the boxes of the blocks.
     """
     d = points.shape[1]
     lanes = lanes_of(out)
     for g in range(len(width)):
-        batch = out[begin[g] * d * lanes : begin[g + 1] * d * lanes]
+        batch, whole = out[begin[g] * d * lanes : begin[g + 1] * d * lanes], begin[g + 1] - begin[g]
         for lane in range(lanes):
             track = columns[min(g * lanes + lane, len(columns) - 1)]
-            pack(points, offsets[track], offsets[track + 1], width[g], batch, lane)
+            pack(points, offsets[track], offsets[track + 1], whole, batch, lane)
+        box_blocks(batch, whole, d, boxes[2 * begin[g] // TILE * d * lanes :])
 
 
 @kernel
-def rows_against_columns(points, offsets, rows, skip, columns, width, begin, packed, axes, mirror, out):
+def rows_against_columns(
+    points, offsets, rows, skip, others, other_offsets, columns, width, begin, packed, boxes, axes, mirror, out
+):
     """Fréchet distances of some tracks to packed columns, ``out[track, column's track]``.
 
     Args:
         points, offsets: ragged tracks of the rows.
         rows: ``(r,)`` tracks.
         skip: ``(r,)`` leading columns each row does not need.
-        columns, width, begin, packed: see ``pack_columns``.
+        others, other_offsets: ragged tracks of the columns, of the dtype of ``packed``.
+        columns, width, begin, packed, boxes: see ``pack_columns``.
         axes: tuple of d integers.
         mirror: write ``out[column's track, track]`` too.
         out: written where a row needs a column; distances, not squared.
     """
     d = points.shape[1]
     lanes = lanes_of(packed)
-    a = np.empty((longest(offsets, rows, 0, len(rows)) + TILE) * d * lanes, packed.dtype)
-    widest = width[0]
+    tallest = longest(offsets, rows, 0, len(rows)) + TILE
+    a, a_boxes = np.empty(tallest * d * lanes, packed.dtype), np.empty(2 * tallest // TILE * d * lanes, packed.dtype)
+    widest = 0
     for each in width:
         widest = max(widest, each)
-    table = np.empty(widest * lanes, packed.dtype)
+    table, b = np.empty(widest * lanes, packed.dtype), np.empty(widest * d * lanes, packed.dtype)
+    rest = np.empty(len(columns), np.int64)
     for r in range(len(rows)):
         track = rows[r]
         height = (offsets[track + 1] - offsets[track] + TILE - 1) // TILE * TILE
         for lane in range(lanes):
             pack(points, offsets[track], offsets[track + 1], height, a, lane)
+        box_blocks(a, height, d, a_boxes)
+        left = 0
         for g in range(skip[r] // lanes, len(width)):
-            batch = packed[begin[g] * d * lanes : begin[g + 1] * d * lanes]
-            batch_squared(a, height, batch, width[g], table, axes)
+            batch, whole = packed[begin[g] * d * lanes : begin[g + 1] * d * lanes], begin[g + 1] - begin[g]
+            settled, found = 0, 0
+            if min(height, whole) > TILE:
+                batch_boxes = boxes[2 * begin[g] // TILE * d * lanes :]
+                settled = settled_lanes(a, a_boxes, height, batch, batch_boxes, whole, table, axes)
+            if settled == 0:
+                batch_squared(a, height, batch, width[g], table, axes)
+                settled, found = -1, (width[g] - 1) * lanes
             for column in range(max(skip[r], g * lanes), min((g + 1) * lanes, len(columns))):
-                distance = np.sqrt(table[(width[g] - 1) * lanes + column - g * lanes])
-                out[track, columns[column]] = distance
-                if mirror:
-                    out[columns[column], track] = distance
+                lane = column - g * lanes
+                if settled >> lane & 1:
+                    out[track, columns[column]] = np.sqrt(table[found + lane])
+                else:
+                    rest[left] = column
+                    left += 1
+        # The pairs that were not settled, in batches of their own.
+        for start in range(0, left, lanes):
+            across = width[rest[start] // lanes]
+            for lane in range(lanes):
+                other = columns[rest[min(start + lane, left - 1)]]
+                pack(others, other_offsets[other], other_offsets[other + 1], across, b, lane)
+            batch_squared(a, height, b, across, table, axes)
+            for k in range(start, min(start + lanes, left)):
+                out[track, columns[rest[k]]] = np.sqrt(table[(across - 1) * lanes + k - start])
+        if mirror:
+            for k in range(skip[r], len(columns)):
+                out[columns[k], track] = out[track, columns[k]]
 
 
 @kernel

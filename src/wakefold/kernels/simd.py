@@ -126,6 +126,27 @@ def squared_distance(typing, a, b):
     return a.dtype(a, b), generate
 
 
+@intrinsic
+def furthest_squared(typing, low_a, high_a, low_b, high_b):
+    """Largest squared distance of a point in one box and a point in the other, in every lane, as ``squared_distance``.
+
+    Rounding is monotone, so no two points inside have a larger one (but for products fused into sums).
+    """
+    flags = ("contract",) if low_a.dtype.dtype.bitwidth == 32 else ()
+
+    def generate(context, builder, signature, arguments):
+        total = None
+        for axis in range(len(low_a)):
+            low_a_k, high_a_k, low_b_k, high_b_k = (builder.extract_value(each, axis) for each in arguments)
+            up, down = builder.fsub(high_a_k, low_b_k), builder.fsub(high_b_k, low_a_k)
+            d = builder.select(builder.fcmp_ordered(">", up, down, flags=("nnan", "nsz")), up, down)
+            square = builder.fmul(d, d, flags=flags)
+            total = square if total is None else builder.fadd(total, square, flags=flags)
+        return total
+
+    return low_a.dtype(low_a, high_a, low_b, high_b), generate
+
+
 def _choose(comparison: str):
     @intrinsic
     def choose(typing, a, b):
