@@ -40,7 +40,7 @@ STOREYS = [
     ["walkers"],
     ["stops"],
     ["tracks", "shaping"],
-    ["ragged", "sketch", "projection", "units", "smoothing"],
+    ["ragged", "sketch", "projection", "units", "smoothing", "places"],
     ["store"],
     ["parallel"],
     ["kernels.*"],

@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 import wakefold as wf
 from wakefold import cli, events, plot, plot_events
+from wakefold.places import read_places
 from wakefold.projection import Projection
 from wakefold.stops import Stop, berths, moments, runs, stops
 
@@ -141,3 +142,67 @@ def test_wrong_usage_is_said_before_the_work(tmp_path):
         assert done.exit_code == 2
         assert text in " ".join(done.stderr.split())
     assert CliRunner().invoke(cli.app, ["relations", "none.csv"]).exit_code == 1
+
+
+def beside(x: float) -> wf.Tracks:
+    """Two ships that lie alongside each other for four hours, then sail away in turn, ``x`` metres east."""
+    out = [path([(240, 0, 0), (59, 4, dy)], (x, 12.0 * k), k) for k, dy in enumerate((1.0, -1.0))]
+    return wf.Tracks.from_arrays(out, [MINUTES * 60] * 2, ["a", "b"], PLACE)
+
+
+def test_two_at_a_berth_are_neither_a_convoy_nor_an_encounter():
+    found = events.find(beside(0.0))
+    assert {e.kind for e in found.events} == {"port visit"}  # tied up: a berth found from the tracks
+    assert found.at_berths == 1
+
+
+def swinging() -> wf.Tracks:
+    """Two that swing 60 m about each other for two hours: no berth by their tracks."""
+    t = MINUTES[:120] / 60 * 2 * np.pi
+    around = 60.0 * np.column_stack([np.cos(t), np.sin(t)])
+    away = np.column_stack([300.0 * np.arange(1, 61), np.zeros(60)])
+    ships = [np.vstack([-away[::-1] + s * around[0], s * around, away + s * around[-1]]) for s in (1.0, -1.0)]
+    return wf.Tracks.from_arrays(ships, [60.0 * np.arange(len(s)) for s in ships], ["a", "b"], PLACE)
+
+
+def test_berths_that_are_told_are_left_out(tmp_path):
+    tracks = swinging()
+    assert [e.kind for e in events.find(tracks).events if len(e.agents) == 2 and e.kind != "convoy"] == ["encounter"]
+    assert not [e for e in events.find(tracks, known=[[-74.0, 40.0]]).events if e.kind in ("encounter", "rendezvous")]
+    far = events.find(tracks, known=[[-73.9, 40.0]])
+    assert [e.kind for e in far.events if e.kind == "encounter"] == ["encounter"]
+    with pytest.raises(ValueError, match="berth 1 is no longitude and latitude"):
+        events.find(tracks, known=[[500000.0, 4000000.0]])
+
+    file = tmp_path / "two.csv"
+    wf.write_tracks(tracks, file)
+    csv_, geo = tmp_path / "berths.csv", tmp_path / "berths.geojson"
+    csv_.write_text("name,LAT,LON\nquay,40.0,-74.0\n")
+    point = {"type": "Point", "coordinates": [-74.0, 40.0]}
+    geo.write_text(json.dumps({"type": "FeatureCollection", "features": [{"type": "Feature", "geometry": point}]}))
+    for berths_file in (csv_, geo):
+        done = CliRunner().invoke(cli.app, ["relations", str(file), "--berths", str(berths_file), "--json"])
+        assert done.exit_code == 0, done.stderr
+        told = json.loads(done.stdout)
+        assert told["left_out_at_berths"] == 1
+        assert "encounter" not in [row["kind"] for row in told["events"]]
+
+
+def test_a_damaged_list_of_berths_is_named(tmp_path):
+    file = tmp_path / "berths"
+    for text, message in [
+        ("lon,lat\n1,2\n3,north\n", "line 3: not two numbers"),
+        ("lon,lat\n1\n", "line 2: not two numbers"),
+        ("a,b\n1,2\n", "header with lon and lat"),
+        ("", "header with lon and lat"),
+        ('{"type": "Point"', "damaged GeoJSON"),
+        ('{"type": "Polygon", "coordinates": []}', "feature 1: places are points, not Polygon"),
+        ('{"type": "Point", "coordinates": [1]}', "feature 1: not two numbers"),
+        ("[3]", "feature 1: places are points, not int"),
+    ]:
+        file.write_text(text)
+        with pytest.raises(ValueError, match=message):
+            read_places(file)
+    done = CliRunner().invoke(cli.app, ["relations", "none.csv", "--berths", str(tmp_path / "none")])
+    assert done.exit_code == 1
+    assert "none" in done.stderr

@@ -49,6 +49,7 @@ def relations(
     together: Annotated[str, typer.Option(help="for this long.")] = "30min",
     convoy: Annotated[str, typer.Option(help="Two ships sail in convoy for this long.")] = "20min",
     berth: Annotated[str, typer.Option(help="Around a berth only port visits are told.")] = "250m",
+    berths: Annotated[Path | None, _opt("File of more berths: CSV with lon and lat, or GeoJSON points.")] = None,
     gap: Annotated[str, typer.Option(help="A ship that is silent for longer is nowhere.")] = "15min",
     columns: Annotated[str, _opt("Columns of a table: agent=...,time=...,lon=...,lat=... .")] = "",
     json_: Annotated[bool, typer.Option("--json", help="Print one JSON object, for a program to read.")] = False,
@@ -56,13 +57,14 @@ def relations(
     """Find encounters, rendezvous, convoys, loitering and port visits of ships.
 
     \b
-    Berths are found from the tracks: places where ships are tied up, or come one after the other.
+    Berths are found from the tracks: places where ships are tied up, or come one after the other. --berths adds more.
     Examples:
       $ wakefold relations harbour.csv -o events.csv
       $ wakefold relations harbour.csv --together 2h -o events.geojson --pictures events
     """
     import wakefold as wf
     from wakefold import events
+    from wakefold.places import read_places
 
     settings = events.Settings(
         near=cli_options.length("--near", near),
@@ -79,13 +81,14 @@ def relations(
             cli_options.wrong("--output", f"{output}: the name of the events ends in {', '.join(FORMS)}")
     if pictures is not None and pictures.exists() and not pictures.is_dir():
         cli_options.wrong("--pictures", f"{pictures} is not a directory")
+    known = read_places(berths) if berths is not None else ()
     with progress("reading") as update:
         read, report = wf.read_tracks(tracks, columns=names, progress=update)
     (say if json_ else print)(str(report))
     if output is not None and output.suffix.lower() != ".csv" and read.projection is None:
         cli_options.wrong("--output", "GeoJSON holds longitude and latitude, and these tracks are planar")
     with progress("following pairs") as update:
-        found = events.find(read, settings, progress=update)
+        found = events.find(read, settings, known=known, progress=update)
     rows = [_row(event, read.projection) for event in found.events]
     if output is not None:
         with naming(output):

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 from scipy.special import ndtr
 
@@ -108,7 +108,7 @@ class Found(NamedTuple):
     Attributes:
         events: all of them.
         moments: of all ships.
-        berths: ``(B, 2)`` metres.
+        berths: ``(B, 2)`` metres: those found from the tracks, then those told.
         at_berths: pairs of ships left out, as they lay at berths.
     """
 
@@ -162,21 +162,37 @@ class _Pairs(NamedTuple):
     lasted: Floats
 
 
-def find(tracks: Tracks, settings: Settings | None = None, *, progress: Callable[[float], None] | None = None) -> Found:
+def find(
+    tracks: Tracks,
+    settings: Settings | None = None,
+    *,
+    known: ArrayLike = (),
+    progress: Callable[[float], None] | None = None,
+) -> Found:
     """All events of ships.
 
     Args:
         tracks: geodetic, or planar in metres; cut into pieces or not.
         settings: what counts as an event.
+        known: ``(B, 2)`` places that are berths, besides those found from the tracks: longitude and latitude, or
+            metres where the tracks are planar.
         progress: told the share done.
 
     Raises:
-        ValueError: no tracks, tracks of one dimension, or nobody heard often enough.
+        ValueError: no tracks, tracks of one dimension, nobody heard often enough, or berths that are no places.
     """
     s = settings or Settings()
+    told = np.asarray(known, dtype=np.float64).reshape(-1, 2) if np.size(known) else np.zeros((0, 2))
+    if not np.isfinite(told).all():
+        raise ValueError("berths must be finite places")
+    if tracks.projection is not None and len(told):
+        wrong = np.flatnonzero((np.abs(told[:, 0]) > 360.0) | (np.abs(told[:, 1]) > 90.0))
+        if len(wrong):
+            raise ValueError(f"berth {wrong[0] + 1} is no longitude and latitude: {told[wrong[0]].tolist()}")
+        told = tracks.projection.to_plane(told[:, 0], told[:, 1])
     m = moments(tracks, s.period, s.gap)
     lying = stops(m)
-    at = berths(lying, s.period)
+    at = np.concatenate([berths(lying, s.period), told])
     berth = KDTree(at) if len(at) else None
     found, at_berths = [], 0
     relations = _relations(m, s, progress)

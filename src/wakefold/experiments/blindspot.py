@@ -28,6 +28,8 @@ TITLE = "Three people through a blind spot (relational filter, second experiment
 NAMES = ("plain", "relational")
 VALIDATION = 10_000  # seeds of scenes that settings are chosen on; the reported scenes have seeds from 0
 PARTICLES = 100
+BIRTH = 1e-5  # new people per square metre and scan: hardly anybody appears while three walk by
+SURE = 0.9  # a track that exists with less probability is nobody's: a false detection makes one too
 SETTINGS: dict[str, float] = {"q": 0.4, "k": 0.5, "noise": 0.1, "hidden": 0.02, "pull": 0.02}
 
 
@@ -64,7 +66,7 @@ def follow(scene: Walk, f: RelationalFilter) -> Outcome:
     """Run a filter over a scene."""
     beliefs, belief = [], f.start()
     for k, z in enumerate(scene.scans):
-        scan = Detections(z, sd=SD, detect_prob=visible, clutter=CLUTTER, birth=1e-3)
+        scan = Detections(z, sd=SD, detect_prob=visible, clutter=CLUTTER, birth=BIRTH)
         belief = f.step(belief, scan, dt=DT if k else 0.0)
         beliefs.append(belief)
     before = int(np.argmax((scene.truth[:, :, 0] > BLIND[0] - 0.5).any(axis=1)))
@@ -80,7 +82,7 @@ def follow(scene: Walk, f: RelationalFilter) -> Outcome:
 
 def owners(belief: Scene, truth: Floats) -> NDArray[np.int64]:
     """``(3,)`` the track of each person: the assignment with the least sum of squared distances; -1 for none."""
-    tracks = belief.tracks()
+    tracks = belief.tracks(SURE)
     square = ((truth[:, None] - tracks.position) ** 2).sum(axis=2) if len(tracks.ids) else np.zeros((len(truth), 0))
     rows, columns = linear_sum_assignment(square)
     out = np.full(len(truth), -1, dtype=np.int64)
