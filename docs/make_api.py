@@ -56,13 +56,29 @@ def page() -> str:
         if inspect.isclass(thing):
             for inner, member in members(thing):
                 lines += entry(f"{name}.{inner}", member if isinstance(member, property) else getattr(thing, inner), 3)
-    from wakefold import datasets, plot
+    from wakefold import company, datasets, events, places, plot, relations, relations_fit, scene, walkers
 
-    for title, part in (("Pictures", plot), ("Data of the papers", datasets)):
+    relational = [name for name in relations.__all__ if name not in wakefold.__all__]
+    parts = (
+        ("Relations between objects", relations, relational),
+        ("Answers of a scene", scene, ["ObjectTable", "RelationTable", "ActivityTable"]),
+        ("What ships do together", events, ["find", "Settings", "Event", "Found"]),
+        ("Lists of places", places, ["read_places"]),
+        ("People, followed", walkers, ["follow", "Walkers"]),
+        ("Who walks with whom", relations_fit, ["crowd", "Crowd", "fit", "TogetherFit", "SceneConstants"]),
+        ("What company tells", company, ["hide", "Beside", "learn_company", "beside", "reunite", "Reunion"]),
+        ("Pictures", plot, plot.__all__),
+        ("Data of the papers", datasets, datasets.__all__),
+    )
+    for title, part, names in parts:
         where = part.__name__
         lines += [f"## {title}: `{where}`", ""]
-        for name in part.__all__:
-            lines += entry(f"{where.split('.')[-1]}.{name}", getattr(part, name), 3)
+        for name in names:
+            thing = getattr(part, name)
+            lines += entry(f"{where.split('.')[-1]}.{name}", thing, 3)
+            if inspect.isclass(thing) and part is relations_fit:
+                own = [(n, m) for n, m in members(thing) if n in vars(thing) and callable(m)]
+                lines += [x for n, _ in own for x in entry(f"{name}.{n}", getattr(thing, n), 4)]
     return "\n".join(lines).rstrip() + "\n"
 
 

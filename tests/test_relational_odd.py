@@ -6,6 +6,7 @@ import pytest
 from test_relational import ENGINES, follow, pair_model, walkers
 
 import wakefold as wf
+from wakefold import plot
 from wakefold.couplings import group, transition
 from wakefold.kernels.turnover import gather, merge
 from wakefold.relations import ahead, couple_velocity, follow_velocity, near, same_velocity
@@ -201,3 +202,26 @@ def test_merging_pairs_is_that_of_sets():
         fresh = iter(added)
         for k, row in enumerate(source):
             np.testing.assert_array_equal(out[k], rows[row] if row >= 0 else next(fresh))
+
+
+def test_a_picture_of_a_scene(tmp_path):
+    f = wf.RelationalFilter(pair_model(on_when=near(2.0)), gate=5.0)
+    fixes = np.concatenate([walkers(steps=15), walkers(seed=2, steps=15)[:, 1:] + [0.0, 5.0]], axis=1)
+    scenes = [f.start()]
+    for k, fix in enumerate(fixes):
+        scenes.append(f.step(scenes[-1], wf.Detections(fix, sd=0.1, ids=["a", "b", "c"]), dt=0.4 if k else 0.0))
+    figure = plot.relations(scenes, every=3)
+    left, right = figure.axes
+    opacity = left.collections[0].get_colors()[:, 3]
+    expected = [s.probability("together", "a", "b") for k, s in enumerate(scenes) if k % 3 == 0 or k == 15]
+    np.testing.assert_allclose(opacity, 0.8 * np.array([p for p in expected if p > 0.05]))
+    assert [line.get_label() for line in right.lines] == ["a, b"]
+    plot.save(figure, tmp_path / "scene.png")
+    assert (tmp_path / "scene.png").stat().st_size > 20_000
+    empty = plot.relations(scenes, at_least=1.1)
+    assert "no pair reaches" in empty.axes[1].texts[0].get_text()
+    for bad, message in (([], "no scenes"), (scenes, "every")):
+        with pytest.raises(ValueError, match=message):
+            plot.relations(bad, every=0)
+    with pytest.raises(ValueError, match="married"):
+        plot.relations(scenes, "married")

@@ -148,7 +148,7 @@ def _write(rows: list[dict[str, Any]], path: Path) -> None:
 
 
 def _draw(found: Found, folder: Path, projection: Projection | None) -> None:
-    from wakefold import plot, plot_events
+    from wakefold import plot
 
     with naming(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -156,6 +156,6 @@ def _draw(found: Found, folder: Path, projection: Projection | None) -> None:
     with progress("drawing") as update:
         for k, event in enumerate(pairs):
             path = folder / f"{k + 1:03d}-{event.kind}.png"
-            plot.save(plot_events.event(found, event, projection), path)
+            plot.save(plot.event(found, event, projection), path)
             update(k, len(pairs))
     say(f"wrote {len(pairs):,} pictures to {folder}")

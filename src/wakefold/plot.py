@@ -1,4 +1,4 @@
-"""Pictures: tracks, the filtration beside its tracks, a belief over time and level, a forecast.
+"""Pictures: tracks, the filtration beside its tracks, beliefs over time and level, forecasts, relations, events.
 
 Every function returns a `matplotlib.figure.Figure` of its own: no global state, no display needed, and the same
 input gives the same file. Write it with `save`.
@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wakefold.filtration import Filtration
 from wakefold.plot_belief import Moment, beliefs
+from wakefold.plot_events import event
 from wakefold.plot_map import (
     BACKDROP,
     INK,
@@ -35,10 +36,11 @@ from wakefold.plot_map import (
     size_of,
     styled,
 )
+from wakefold.plot_scene import relations
 from wakefold.plot_tree import dendrogram
 from wakefold.tracks import Tracks
 
-__all__ = ["Ahead", "Moment", "beliefs", "filtration", "forecast", "save", "tracks"]
+__all__ = ["Ahead", "Moment", "beliefs", "event", "filtration", "forecast", "relations", "save", "tracks"]
 
 
 class Ahead(NamedTuple):
