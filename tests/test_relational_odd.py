@@ -225,3 +225,63 @@ def test_a_picture_of_a_scene(tmp_path):
             plot.relations(bad, every=0)
     with pytest.raises(ValueError, match="married"):
         plot.relations(scenes, "married")
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_the_largest_and_smallest_numbers_allowed_are_no_nan(engine):
+    f = wf.RelationalFilter(pair_model(on_when=near(2.0) & same_velocity(0.5), prior=0.3), engine, particles=20)
+    start = follow(f, walkers(steps=3))
+    here = walkers(steps=3)[-1]
+    for points, sd, dt in [
+        (here, 1e12, 0.4),
+        (here, 1e-9, 0.4),
+        (here, 0.1, 1e-9),
+        (here, 0.1, 1e10),
+        (np.array([[1e12, 0.0], [-1e12, 1.0]]), 0.1, 0.4),
+        (np.array([[1e12, 0.0], [-1e12, 1.0]]), 1e-9, 1e10),
+    ]:
+        scene = start
+        for _ in range(3):
+            scene = f.step(scene, wf.Detections(points, sd=sd, ids=[0, 1]), dt=dt)
+            assert finite(scene)
+        assert finite(f.step(scene, [], dt=dt))
+
+
+def test_wrong_settings_are_named():
+    model, scan = pair_model(), wf.Detections([[0.0, 0.0]], ids=[1])
+    f = wf.RelationalFilter(model)
+    scene = f.step(f.start(), scan, dt=1.0)
+    person = ("person", "person")
+    two = wf.RelationalModel(model.objects, [*model.relations, wf.Relation("other", person)])
+    for bad, message in [
+        (lambda: wf.Detections([["a", "b"]]), "positions and sd must be numbers"),
+        (lambda: wf.Detections([[1e13, 0.0]]), "within 1e"),
+        (lambda: wf.Detections([[0.0, 0.0]], sd=1e200), "sd must be"),
+        (lambda: wf.Detections([[0.0, 0.0]] * 2, ids=[1, "a"]), "all whole numbers or all texts"),
+        (lambda: wf.Detections([[0.0, 0.0]], ids=[2**63]), "64 bits"),
+        (lambda: wf.Detections([[0.0, 0.0]], kinds=3), "kinds must be one kind"),
+        (lambda: wf.Detections([[0.0, 0.0]], detect_prob="high"), "detect_prob must be a number"),
+        (lambda: f.step(scene, wf.Detections([[0.0, 0.0]], ids=[1], kinds="cat"), dt=1.0), "'cat' is none of person"),
+        (
+            lambda: f.step(scene, wf.Detections([[0, 0]], ids=[1], detect_prob=lambda x: np.full(len(x), 2.0)), dt=1.0),
+            "probabilities, got 2.0",
+        ),
+        (lambda: f.step(scene, scan, dt="soon"), "dt .seconds. must be a number, got 'soon'"),
+        (lambda: f.step(scene, scan, dt=1e300), "at once"),
+        (lambda: f.step(None, scan, dt=1.0), "takes a Scene"),
+        (lambda: f.step(scene, [[0.0, 0.0]], dt=1.0), "takes Detections"),
+        (lambda: wf.RelationalFilter(two).step(scene, scan, dt=1.0), "another relational model"),
+        (lambda: wf.RelationalFilter({"person": 1}), "takes a RelationalModel"),
+        (lambda: wf.RelationalFilter(model, gate="6m"), "gate .metres. must be a number, got '6m'"),
+        (lambda: wf.RelationalFilter(model, seed=-1), "seed must be"),
+        (lambda: near("2m"), "near: distance must be a number"),
+        (lambda: couple_velocity("x", 1.0), "couple_velocity: k must be a number"),
+        (lambda: wf.Relation("r", "pp"), "pair must be two kinds"),
+        (lambda: wf.Relation("r", person, couples="x"), "couples must be a Coupling"),
+        (lambda: wf.Relation("r", person, rate_on=None), "rate_on must be a number"),
+        (lambda: wf.Activity("a", "together"), "chain must be a list"),
+        (lambda: wf.RelationalModel(["person"]), "objects must map"),
+        (lambda: wf.RelationalModel(model.objects, model.relations[0]), "relations must be a list"),
+    ]:
+        with pytest.raises((ValueError, TypeError), match=message):
+            bad()

@@ -8,8 +8,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wakefold.predicates import number
+
 Floats = NDArray[np.float64]
 DetectProb = float | Callable[[Floats], ArrayLike]
+FARTHEST = 1e12  # metres: what is squared must stay a number
+FINEST = 1e-9  # metres
 
 
 class Detections:
@@ -19,7 +23,8 @@ class Detections:
         positions: ``(m, 2)`` metres in the plane; m may be 0 (an empty scan: whoever could have been seen was missed).
         sd: standard deviation of a position per axis, metres; one number, or ``(m,)``.
         ids: names of the objects, whole numbers or texts, each at most once; None where the sensor cannot tell.
-        kinds: kind of each object, of the model's; one for all, or ``(m,)``. None: the model's first kind.
+        kinds: kind of each object, of the model's; one for all, or ``(m,)``. None: the model's first kind. An object
+            keeps the kind it was first detected with.
         detect_prob: probability that an object is detected; a number, or a function of positions ``(n, 2)`` that gives
             ``(n,)``. A blind region has 0.
         clutter: expected number of false detections per square metre; only for detections without ids.
@@ -42,33 +47,48 @@ class Detections:
         clutter: float = 0.0,
         birth: float = 1e-3,
     ) -> None:
-        points = np.array(positions, dtype=np.float64)
+        try:
+            points = np.array(positions, dtype=np.float64)
+            spread = np.asarray(sd, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"Detections positions and sd must be numbers: {error}") from None
         if points.size == 0:
             points = points.reshape(0, 2)
         if points.ndim != 2 or points.shape[1] != 2:
             raise ValueError(f"Detections positions must be planar, of shape (m, 2), got {points.shape}")
-        if not np.isfinite(points).all():
-            row = int(np.flatnonzero(~np.isfinite(points).all(axis=1))[0])
-            raise ValueError(f"Detections positions must be finite, row {row} is {points[row].tolist()}")
+        near = (np.abs(points) <= FARTHEST).all(axis=1)  # false for NaN too
+        if not near.all():
+            row = int(np.flatnonzero(~near)[0])
+            raise ValueError(
+                f"Detections positions must be finite and within {FARTHEST:g} m, row {row} is {points[row].tolist()}"
+            )
         count = len(points)
-        spread = np.asarray(sd, dtype=np.float64)
-        if spread.shape not in ((), (count,)) or not (np.isfinite(spread).all() and (spread > 0).all()):
-            raise ValueError("Detections sd must be a positive number of metres, or one for each position")
+        if spread.shape not in ((), (count,)) or not ((spread >= FINEST) & (spread <= FARTHEST)).all():
+            raise ValueError(
+                f"Detections sd must be a positive number of metres ({FINEST:g} to {FARTHEST:g}), or one for each "
+                "position"
+            )
         if ids is not None:
+            if not isinstance(ids, np.ndarray) and np.ndim(ids) and len({isinstance(i, str) for i in ids}) > 1:
+                raise ValueError("Detections ids must be all whole numbers or all texts")
             ids = np.asarray(ids)
             if count == 0:
                 ids = np.zeros(0, dtype=np.int64)
             if ids.shape != (count,) or ids.dtype.kind not in "iuU":
-                raise ValueError(f"Detections ids must be {count} whole numbers or texts")
+                raise ValueError(f"Detections ids must be {count} whole numbers (of 64 bits) or texts")
+            if ids.dtype.kind == "u":
+                if count and ids.max() > np.iinfo(np.int64).max:
+                    raise ValueError(f"Detections ids: {ids.max()} is beyond whole numbers of 64 bits")
+                ids = ids.astype(np.int64)
             names, times = np.unique(ids, return_counts=True)
             if (times > 1).any():
                 raise ValueError(f"Detections ids: {names[times > 1][0]} is there twice")
-        if kinds is not None and not isinstance(kinds, str) and len(kinds) != count:
-            raise ValueError(f"Detections kinds must be one kind, or {count} of them")
-        if not callable(detect_prob) and not 0.0 <= detect_prob <= 1.0:
+        if kinds is not None and not isinstance(kinds, str) and np.shape(kinds) != (count,):
+            raise ValueError(f"Detections kinds must be one kind, or {count} of them, got {kinds!r}")
+        if not callable(detect_prob) and not 0.0 <= number("Detections detect_prob", detect_prob) <= 1.0:
             raise ValueError(f"Detections detect_prob must be a probability or a function, got {detect_prob}")
         for name, value in (("clutter", clutter), ("birth", birth)):
-            if not 0.0 <= value < math.inf:
+            if not 0.0 <= number(f"Detections {name}", value) < math.inf:
                 raise ValueError(f"Detections {name} must be a number >= 0, got {value}")
         self.positions: Floats = points
         self.sd: Floats = np.broadcast_to(spread, (count,)).copy()
@@ -92,8 +112,11 @@ class Detections:
         if not callable(self.detect_prob):
             return np.full(len(positions), float(self.detect_prob))
         out = np.asarray(self.detect_prob(positions), dtype=np.float64)
-        if out.shape != (len(positions),) or not ((out >= 0.0) & (out <= 1.0)).all():
+        if out.shape != (len(positions),):
             raise ValueError(f"detect_prob must give {len(positions)} probabilities, got an array of shape {out.shape}")
+        wrong = out[~((out >= 0.0) & (out <= 1.0))]
+        if len(wrong):
+            raise ValueError(f"detect_prob must give probabilities, got {wrong[0]}")
         return out
 
     def kind_numbers(self, kinds: list[str]) -> NDArray[np.int64]:

@@ -57,8 +57,22 @@ def _one(op: int, first: float = 0.0, second: float = 0.0) -> Predicate:
     return Predicate(((op, float(first), float(second)),))
 
 
+def number(name: str, value: object) -> float:
+    """A setting as a float.
+
+    Raises:
+        TypeError: it is no number; the message names it.
+    """
+    if isinstance(value, (bool, str, bytes)) or not hasattr(value, "__float__"):
+        raise TypeError(f"{name} must be a number, got {value!r}")
+    try:
+        return float(value)  # pyright: ignore[reportArgumentType]
+    except (TypeError, ValueError):
+        raise TypeError(f"{name} must be a number, got {value!r}") from None
+
+
 def _positive(name: str, value: float) -> float:
-    if not 0.0 < value < math.inf:
+    if not 0.0 < number(name, value) < math.inf:
         raise ValueError(f"{name} must be a positive number, got {value}")
     return float(value)
 

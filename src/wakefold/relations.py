@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from wakefold.predicates import Predicate, ahead, closing, near, same_velocity, seen, slow
+from wakefold.predicates import Predicate, ahead, closing, near, number, same_velocity, seen, slow
 
 __all__ = [  # noqa: RUF022 (by subject)
     "near",
@@ -56,8 +56,14 @@ class ConstantVelocity:
     speed: float = 1.5
 
     def __post_init__(self) -> None:
-        _check(0.0 < self.q < math.inf, f"ConstantVelocity: q must be a positive number, got {self.q}")
-        _check(0.0 < self.speed < math.inf, f"ConstantVelocity: speed must be a positive number, got {self.speed}")
+        _check(
+            0.0 < number("ConstantVelocity: q", self.q) < math.inf,
+            f"ConstantVelocity: q must be a positive number, got {self.q}",
+        )
+        _check(
+            0.0 < number("speed", self.speed) < math.inf,
+            f"ConstantVelocity: speed must be a positive number, got {self.speed}",
+        )
 
 
 @dataclass(frozen=True)
@@ -75,7 +81,9 @@ class Sampler:
 
     def __post_init__(self) -> None:
         _check(callable(self.move), "Sampler: move must be a function (position, velocity, dt, rng)")
-        _check(0.0 < self.speed < math.inf, f"Sampler: speed must be a positive number, got {self.speed}")
+        _check(
+            0.0 < number("speed", self.speed) < math.inf, f"Sampler: speed must be a positive number, got {self.speed}"
+        )
 
 
 @dataclass(frozen=True)
@@ -111,12 +119,16 @@ def couple_velocity(k: float, noise: float, pull: float = 0.0) -> Coupling:
         noise: m/s per square root of a second.
         pull: 1/s².
     """
-    return Coupling(float(k), float(noise), float(pull), True)
+    return _coupling("couple_velocity", k, noise, pull, True)
 
 
 def follow_velocity(k: float, noise: float, pull: float = 0.0) -> Coupling:
     """The first takes on the velocity of the second, which moves as it likes; units as in ``couple_velocity``."""
-    return Coupling(float(k), float(noise), float(pull), False)
+    return _coupling("follow_velocity", k, noise, pull, False)
+
+
+def _coupling(name: str, k: float, noise: float, pull: float, mutual: bool) -> Coupling:
+    return Coupling(number(f"{name}: k", k), number(f"{name}: noise", noise), number(f"{name}: pull", pull), mutual)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,16 +204,22 @@ class Relation:
     def __post_init__(self) -> None:
         where = f"relation {self.name!r}"
         _check(isinstance(self.name, str) and bool(self.name), "Relation: name must be a text")
-        _check(len(self.pair) == 2, f"{where}: pair must be two kinds, got {self.pair!r}")
-        if self.on_when is not None and not isinstance(self.on_when, Predicate):
-            raise TypeError(f"{where}: on_when must be a predicate, got {self.on_when!r}")
+        pair = not isinstance(self.pair, str) and len(self.pair) == 2
+        _check(pair, f"{where}: pair must be two kinds, got {self.pair!r}")
+        for part, kind in (("on_when", Predicate), ("couples", Coupling), ("evidence", PairEvidence)):
+            value = getattr(self, part)
+            if value is not None and not isinstance(value, kind):
+                raise TypeError(f"{where}: {part} must be a {kind.__name__}, got {value!r}")
         for name, default in (("rate_break", self.rate_on), ("rate_hidden", self.rate_off)):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, default)
         for name in ("rate_on", "rate_off", "rate_break", "rate_hidden", "seen_within"):
-            value = getattr(self, name)
+            value = number(f"{where}: {name}", getattr(self, name))
             _check(0.0 <= value < math.inf, f"{where}: {name} must be a number >= 0, got {value}")
-        _check(0.0 <= self.prior <= 1.0, f"{where}: prior must be a probability, got {self.prior}")
+        _check(
+            0.0 <= number(f"{where}: prior", self.prior) <= 1.0,
+            f"{where}: prior must be a probability, got {self.prior}",
+        )
         same = self.pair[0] == self.pair[1]
         if self.symmetric is None:
             object.__setattr__(self, "symmetric", same and (self.couples is None or self.couples.mutual))
@@ -225,8 +243,13 @@ class Activity:
     min_time: float = 0.0
 
     def __post_init__(self) -> None:
+        where = f"activity {self.name!r}"
+        _check(not isinstance(self.chain, str), f"{where}: chain must be a list of phases, got {self.chain!r}")
         object.__setattr__(self, "chain", tuple(self.chain))
-        _check(0.0 <= self.min_time < math.inf, f"activity {self.name!r}: min_time must be >= 0, got {self.min_time}")
+        _check(
+            0.0 <= number(f"{where}: min_time", self.min_time) < math.inf,
+            f"activity {self.name!r}: min_time must be >= 0, got {self.min_time}",
+        )
 
 
 @dataclass(frozen=True)
@@ -247,6 +270,12 @@ class RelationalModel:
     activities: Sequence[Activity] = ()
 
     def __post_init__(self) -> None:
+        if not isinstance(self.objects, Mapping):
+            raise TypeError(f"RelationalModel: objects must map names of kinds to motions, got {self.objects!r}")
+        for name, kind in (("relations", Relation), ("activities", Activity)):
+            value = getattr(self, name)
+            if not isinstance(value, Sequence) or not all(isinstance(one, kind) for one in value):
+                raise TypeError(f"RelationalModel: {name} must be a list of {kind.__name__}, got {value!r}")
         object.__setattr__(self, "objects", dict(self.objects))
         object.__setattr__(self, "relations", tuple(self.relations))
         object.__setattr__(self, "activities", tuple(self.activities))

@@ -18,11 +18,13 @@ from wakefold.activities import begin
 from wakefold.detections import Detections
 from wakefold.gating import Settings
 from wakefold.particles import agent_key, as_seconds
+from wakefold.predicates import number
 from wakefold.relations import RelationalModel, Sampler
-from wakefold.scene import Pairs, Particles, Scene
+from wakefold.scene import Pairs, Particles, Scene, outline
 
 Engine = Literal["bootstrap", "adapted", "rbk", "collapsed"]
 ENGINES = ("bootstrap", "adapted", "rbk", "collapsed")
+LONGEST = 1e10  # seconds of a step
 
 
 class RelationalFilter:
@@ -63,19 +65,23 @@ class RelationalFilter:
         hypotheses: int = 10,
         seed: int = 0,
     ) -> None:
+        if not isinstance(model, RelationalModel):
+            raise TypeError(f"RelationalFilter takes a RelationalModel, got {model!r}")
         if engine not in ENGINES:
             raise ValueError(f"engine must be one of {', '.join(ENGINES)}, got {engine!r}")
         for name, count in (("particles", particles), ("cluster", cluster), ("hypotheses", hypotheses)):
             if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
                 raise ValueError(f"{name} must be a whole number of at least 1, got {count}")
-        if not 0.0 < gate < math.inf:
+        if not 0.0 < number("gate (metres)", gate) < math.inf:
             raise ValueError(f"gate must be a positive number of metres, got {gate}")
-        if not forget > 0.0:
+        if not number("forget (seconds)", forget) > 0.0:
             raise ValueError(f"forget must be a positive number of seconds, got {forget}")
         if engine != "bootstrap":
             for kind, motion in model.objects.items():
                 if isinstance(motion, Sampler):
                     raise ValueError(f"kind {kind!r}: motion by a Sampler needs engine='bootstrap', got {engine!r}")
+        if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+            raise ValueError(f"seed must be a whole number of at least 0, got {seed!r}")
         self.model, self.seed = model, int(seed)
         self.settings = Settings(
             model, engine, int(particles), float(gate), float(forget), int(cluster), int(hypotheses)
@@ -133,9 +139,11 @@ class RelationalFilter:
         """
         if (dt is None) == (time is None):
             raise ValueError("step takes either dt or time")
-        seconds = as_seconds(time) - scene.time if time is not None else float(dt or 0.0)
-        if not 0.0 <= seconds < math.inf:
-            raise ValueError(f"time must not run backwards: dt is {seconds}")
+        if not isinstance(scene, Scene):
+            raise TypeError(f"step takes a Scene, as start and step return it, got {scene!r}")
+        seconds = as_seconds(time) - scene.time if time is not None else number("dt (seconds)", dt)
+        if not 0.0 <= seconds <= LONGEST:
+            raise ValueError(f"time must not run backwards, nor {LONGEST:g} s at once: dt is {seconds}")
         if isinstance(scans, Detections):
             scans = [scans]
         for scan in scans:
@@ -149,6 +157,10 @@ class RelationalFilter:
         return scene
 
     def _one(self, scene: Scene, scan: Detections | None, dt: float) -> Scene:
+        if scene.model is not self.model and outline(scene.model) != outline(self.model):
+            raise ValueError("the scene was made with another relational model")
+        if scan is not None:
+            scan.kind_numbers(self.model.kinds)  # whether it knows them all
         if (scene.particles is None) != (self.settings.engine == "collapsed"):
             raise ValueError(f"the scene was made by another engine than {self.settings.engine!r}")
         engine = collapsed if self.settings.engine == "collapsed" else joint
