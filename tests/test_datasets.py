@@ -5,6 +5,7 @@ import pytest
 
 from wakefold import datasets
 from wakefold.filtration import Filtration
+from wakefold.tracks import Tracks
 
 MAKERS = {"junction": 14, "configuration_space": 33, "common_ends": 13}
 
@@ -89,3 +90,37 @@ def test_walks_without_traffic_are_refused():
     raster = datasets.Raster(np.zeros((20, 20)), np.zeros(2), 1.0)
     with pytest.raises(ValueError, match="no walk of 40 cells found from 1 starts"):
         datasets.walks(raster, [[10, 10]], number=2)
+
+
+def ships():
+    """Sixty ships along two crossing lanes, one with a gap of a day; and far away a position that is wrong."""
+    rng, tracks, times = np.random.default_rng(0), [], []
+    for k in range(60):
+        x = np.linspace(0, 2e5, 80)
+        y = (1e5 + 0 * x if k % 2 else 0.6 * x) + rng.normal(scale=1500)
+        tracks.append(np.stack([x, y], axis=1))
+        times.append(np.arange(80) * 600.0 + (np.arange(80) > 40) * (86400.0 if k == 0 else 0.0))
+    tracks.append(np.array([[9e6, 9e6], [9e6, 9e6 + 1]]))
+    times.append(np.array([0.0, 600.0]))
+    return Tracks.from_arrays(tracks, times=times)
+
+
+def test_a_raster_of_real_tracks_and_busy_places_to_start_from():
+    raster, starts = datasets.traffic_of(ships(), rows=40, starts=4)
+    assert raster.density.shape[0] == 40
+    assert raster.origin[0] < 5e3
+    assert 40 * raster.cell < 1.4e5  # the wrong position is outside
+    at = raster.centre(starts)
+    assert np.minimum(np.abs(at[:, 1] - 1e5), np.abs(at[:, 1] - 0.6 * at[:, 0])).max() < 2 * raster.cell
+    apart = np.linalg.norm(starts[:, None] - starts, axis=2) + 99 * np.eye(4)
+    assert apart.min() >= 5
+    walks = datasets.walks(raster, starts, number=12, shortest=20)
+    assert len(walks) == 12
+
+
+def test_tracks_without_a_raster_are_refused():
+    still = Tracks.from_arrays([np.zeros((3, 2))])
+    with pytest.raises(ValueError, match="do not cover a rectangle"):
+        datasets.traffic_of(still)
+    with pytest.raises(ValueError, match=r"only \d+ of 500 places with traffic"):
+        datasets.traffic_of(ships(), rows=40, starts=500)

@@ -6,7 +6,8 @@ import math
 import numpy as np
 import pytest
 
-from wakefold.experiments import runner, simulate
+from wakefold import datasets
+from wakefold.experiments import fig9, rasters, runner, simulate
 from wakefold.experiments.grid import LOG
 from wakefold.experiments.registry import Job, Size
 from wakefold.experiments.scenarios import Namer, Scenario, Setting, chosen, data, tree_of
@@ -78,8 +79,32 @@ def test_reports_name_the_class_of_the_definition():
             if total > most:
                 best, most = c, total
         assert namer.classes(samples[None]) == [best]
-        assert namer.report(best).level == (tree.birth[best] + tree.death[best]) / 2
         assert namer.another(best, 5) != best
+
+
+def test_a_report_is_read_at_the_middle_of_the_life_of_its_class():
+    scenario = Scenario(OUT, 3)
+    tree = scenario.model.filtration
+    for c in range(len(tree), tree.root):
+        assert scenario.report(c) == (c, (tree.birth[c] + tree.death[c]) / 2)
+
+
+@pytest.mark.parametrize("truth", range(13))
+def test_reports_named_among_all_tracks_keep_their_other_tracks(truth):
+    scenario = Scenario(OUT._replace(told_by="all"), truth)
+    everybody, tree = scenario.tree, scenario.model.filtration
+    assert scenario.namer.tree is everybody
+    for c in range(len(everybody), everybody.root):
+        others = set(everybody.members(c).tolist()) - {truth}
+        holding = [k for k in range(len(tree), tree.root) if others <= set(scenario.kept[tree.members(k)].tolist())]
+        report = scenario.report(c)
+        if not holding:
+            assert report is None
+        else:
+            least = min(holding, key=lambda k: len(tree.members(k)))
+            assert report == (least, (tree.birth[least] + tree.death[least]) / 2)
+    seen = scenario.observations(0, 0)
+    assert any(o.report for o in seen)
 
 
 def test_arrival_is_the_end_of_the_last_stay_outside():
@@ -161,3 +186,28 @@ def test_processes_give_what_threads_give(tmp_path):
     jobs = [simulate.job(OUT, method, TINY) for method in LOG[2:4]]
     one = runner.run_all(jobs, tmp_path / "threads", Threads(1))
     assert runner.run_all(jobs, tmp_path / "processes", Processes(2)) == one
+
+
+def test_the_raster_of_a_file_stands_in_for_the_synthetic_one(tmp_path):
+    rows = ["agent,time,lon,lat"]
+    for k in range(24):
+        for i in range(60):
+            lon, lat = -90 + 0.05 * i, 27 + (0.03 * i if k % 2 else 1.0) + 0.01 * (k // 2)
+            rows.append(f"{k},2024-01-01T{i // 6:02}:{i % 6}0:00Z,{lon:.4f},{lat:.4f}")
+    (tmp_path / "ships.csv").write_text("\n".join(rows))
+    name = rasters.keep(tmp_path / "ships.csv", tmp_path / "out")
+    raster, starts = rasters.traffic(name)
+    assert len(starts) == 9
+    assert np.array_equal(tree_of(name, "single", None)[0].points, datasets.walks(raster, starts).points)
+    assert len(data(name)) == 194
+    assert chosen(name, 5, 0) == chosen("tankers", 5, 0)
+    assert {job.spec["setting"]["data"] for job in fig9.jobs(TINY._replace(tankers=name))} == {name}
+    assert rasters.keep(tmp_path / "ships.csv", tmp_path / "out") == name
+
+
+def test_calibrated_is_not_run_again_for_another_noise_of_the_model():
+    loud, method = OUT._replace(kappa=0.75), simulate.Method("calibrated", "gaussian")
+    assert runner.key(simulate.job(OUT, method, TINY)) == runner.key(simulate.job(loud, method, TINY))
+    quiet = simulate.run(dict(simulate.job(OUT, method, TINY).spec))
+    spec = dict(simulate.job(OUT, method, TINY).spec)
+    assert simulate.run(spec | {"setting": loud._asdict()}) == quiet

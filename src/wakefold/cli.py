@@ -383,6 +383,9 @@ def reproduce(
     quick: Annotated[bool, typer.Option("--quick", help="Few runs of each, too few for any verdict.")] = False,
     out: Annotated[Path, typer.Option(help="Directory for index.html, pictures and results.")] = Path("reproduced"),
     seed: Annotated[int, typer.Option(help="Of everything.", min=0)] = 0,
+    raster: Annotated[
+        Path | None, _opt("Tracks, such as AIS, to count the tankers' raster from; synthetic without.")
+    ] = None,
     processes: Annotated[int | None, _opt("At once; one on each core without.")] = None,
     list_: Annotated[bool, typer.Option("--list", help="Name the figures and end.")] = False,
 ) -> None:
@@ -393,6 +396,7 @@ def reproduce(
     Examples:
       $ wakefold reproduce --out reproduced
       $ wakefold reproduce mse fig7a --quick
+      $ wakefold reproduce fig8 fig9 --raster gulf.csv
     """
     from wakefold.experiments import registry
 
@@ -410,6 +414,10 @@ def reproduce(
     from wakefold.parallel import Processes
 
     size = (registry.QUICK if quick else registry.FULL)._replace(seed=seed)
+    if raster is not None:
+        from wakefold.experiments.rasters import keep
+
+        size = size._replace(tankers=keep(raster, out))
     with progress("reproducing") as update:
         page = run(figures or [], size, out, Processes(processes), update)
     say(f"wrote {page}")

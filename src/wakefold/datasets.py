@@ -15,7 +15,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from wakefold.tracks import Tracks
 
-__all__ = ["Raster", "common_ends", "configuration_space", "density_of", "junction", "tanker_traffic", "walks"]
+__all__ = [
+    "Raster",
+    "common_ends",
+    "configuration_space",
+    "density_of",
+    "junction",
+    "tanker_traffic",
+    "traffic_of",
+    "walks",
+]
 
 Floats = NDArray[np.float64]
 SPACING = 0.02  # of the points of the first three sets
@@ -168,6 +177,41 @@ def tanker_traffic(seed: int = 0) -> tuple[Raster, Floats]:
     raster = density_of(np.concatenate(ships), offsets, (0.0, 0.0, width, height))
     starts = np.floor(np.concatenate([ports, sea])[:, ::-1] / raster.cell).astype(int)
     return raster, starts
+
+
+def traffic_of(tracks: Tracks, rows: int = 96, starts: int = 9) -> tuple[Raster, Floats]:
+    """The raster of the traffic of real tracks, such as AIS, and busy places for walks to start from.
+
+    The rectangle holds the middle 99 % of the points along each axis. A track is cut where nothing was received for
+    two hours. Starts are the densest cells, each at least an eighth of the rows from the others and off the edge.
+
+    Args:
+        rows: of square cells over the height of the rectangle.
+        starts: how many start cells.
+
+    Returns:
+        the raster, and start cells ``(starts, 2)`` (row, column), the densest first.
+
+    Raises:
+        ValueError: the tracks do not cover a rectangle, or have not so many places with traffic.
+    """
+    pieces = tracks.segment(max_gap=7200.0)
+    points = pieces.points[:, :2]
+    low, high = np.quantile(points, [0.005, 0.995], axis=0)
+    if not (high > low).all():
+        raise ValueError(f"the tracks ({len(tracks)}, {len(points)} points) do not cover a rectangle")
+    raster = density_of(points, pieces.offsets, (*low.tolist(), *high.tolist()), rows)
+    left = raster.density.copy()
+    left[[0, -1]] = left[:, [0, -1]] = 0.0
+    row, column = np.indices(left.shape)
+    cells: list[tuple[int, int]] = []
+    while len(cells) < starts:
+        at = np.unravel_index(int(left.argmax()), left.shape)
+        if left[at] == 0.0:
+            raise ValueError(f"only {len(cells)} of {starts} places with traffic, {rows // 8} cells apart")
+        cells.append((int(at[0]), int(at[1])))
+        left[np.hypot(row - at[0], column - at[1]) < rows / 8] = 0.0
+    return raster, np.array(cells)
 
 
 def walks(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from wakefold.experiments import grid
-from wakefold.experiments.grid import CALIBRATED, METHODS, NOISE
+from wakefold.experiments.grid import CALIBRATED, NAMING, NOISE
 from wakefold.experiments.registry import Claim, Job, Section, Size
 from wakefold.experiments.scenarios import Setting
 from wakefold.experiments.stats import half_width, p_text, wilcoxon
@@ -18,12 +18,12 @@ TITLE = "Figure 7a: distance of the likeliest class, 13 tracks, coarse reports h
 KAPPA, PSI = (0.30, 0.50, 0.75), (0.01, 0.05)
 OUT = [Setting("common", "out", kappa, psi, coarse=0.5) for psi, kappa in product(PSI, KAPPA)]
 SETTINGS = [s._replace(truth=truth) for truth in ("out", "in") for s in OUT]
-FOLLOWERS = [m for m in METHODS if m.filter != "bl1" and m.filter != "bl2"]  # those who take reports
+FOLLOWERS = [m for m in NAMING if m.filter != "bl1"]  # those who take reports
 
 
 def jobs(size: Size) -> list[Job]:
     return [
-        *grid.jobs(SETTINGS, METHODS, size),
+        *grid.jobs(SETTINGS, NAMING, size),
         *grid.jobs(_wrong(), FOLLOWERS, size),
         *grid.jobs(_without(), [CALIBRATED], size),
     ]
@@ -40,16 +40,10 @@ def _without() -> list[Setting]:
 
 
 def report(results: list[Any], size: Size, folder: Path) -> Section:
-    every, wrong = len(SETTINGS) * len(METHODS), len(OUT) * len(FOLLOWERS)
-    found = grid.found(SETTINGS, METHODS, results[:every])
+    every, wrong = len(SETTINGS) * len(NAMING), len(OUT) * len(FOLLOWERS)
+    found = grid.found(SETTINGS, NAMING, results[:every])
     found |= grid.found(_wrong(), FOLLOWERS, results[every : every + wrong])
     found |= grid.found(_without(), [CALIBRATED], results[every + wrong :])
-    named = [m for m in METHODS if m.filter != "bl2"]
-    panels = [
-        (f"truth {NOISE['truth'](s)}, ψ = {s.psi:.0%}", [s._replace(kappa=k) for k in KAPPA])
-        for s in SETTINGS
-        if s.kappa == KAPPA[0]
-    ]
     return Section(
         TITLE,
         [
@@ -63,12 +57,13 @@ def report(results: list[Any], size: Size, folder: Path) -> Section:
         [
             grid.chart(
                 found,
-                panels,
-                named,
+                SETTINGS,
+                NAMING,
                 "excess",
                 "excess tree distance (unit square)",
                 folder / "fig7a.png",
                 "Excess tree distance of the most probable track, with 95 % intervals over scenarios.",
+                NOISE,
             )
         ],
         [
@@ -77,11 +72,11 @@ def report(results: list[Any], size: Size, folder: Path) -> Section:
             _unharmed(found),
         ],
         [
-            grid.score_table(found, SETTINGS, named, "distance", "Tree distance", NOISE),
-            grid.score_table(found, SETTINGS, named, "excess", "Excess over the best attainable", NOISE),
+            grid.score_table(found, SETTINGS, NAMING, "distance", "Tree distance", NOISE),
+            grid.score_table(found, SETTINGS, NAMING, "excess", "Excess over the best attainable", NOISE),
             grid.score_table(found, _wrong(), FOLLOWERS, "excess", "Excess with 30 % of the reports wrong", NOISE),
             grid.score_table(found, _without(), [CALIBRATED], "excess", "Excess without any report", NOISE),
-            grid.score_table(found, SETTINGS, METHODS, "mse", "Mean squared error of the position", NOISE),
+            grid.score_table(found, SETTINGS, NAMING, "mse", "Mean squared error of the position", NOISE),
         ],
     )
 

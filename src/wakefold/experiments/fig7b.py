@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from wakefold.experiments import grid
-from wakefold.experiments.grid import METHODS, NOISE
+from wakefold.experiments.grid import NAMING, NOISE
 from wakefold.experiments.registry import Job, Section, Size
 from wakefold.experiments.scenarios import Setting
 
@@ -19,17 +19,11 @@ COLUMNS = {"truth": NOISE["truth"], "lead-in": lambda s: f"{s.lead_in:.1%}", "κ
 
 
 def jobs(size: Size) -> list[Job]:
-    return grid.jobs(SETTINGS, METHODS, size)
+    return grid.jobs(SETTINGS, NAMING, size)
 
 
 def report(results: list[Any], size: Size, folder: Path) -> Section:
-    found = grid.found(SETTINGS, METHODS, results)
-    named = [m for m in METHODS if m.filter != "bl2"]
-    panels = [
-        (f"truth {NOISE['truth'](s)}, lead-in {s.lead_in:.1%}", [s._replace(kappa=k) for k in KAPPA])
-        for s in SETTINGS
-        if s.kappa == KAPPA[0]
-    ]
+    found = grid.found(SETTINGS, NAMING, results)
     return Section(
         TITLE,
         [
@@ -41,17 +35,18 @@ def report(results: list[Any], size: Size, folder: Path) -> Section:
         [
             grid.chart(
                 found,
-                panels,
-                named,
+                SETTINGS,
+                NAMING,
                 "converged",
                 "share of the trial until convergence",
                 folder / "fig7b.png",
                 "Time to convergence with 95 % intervals over scenarios.",
+                COLUMNS,
             )
         ],
         grid.claims_below(found, OUT, "converged", "Four settings", "MHPF sooner than BL1 in all four, p = 0.02", 0.05),
         [
-            grid.score_table(found, SETTINGS, named, "converged", "Share of the trial until convergence", COLUMNS),
-            grid.score_table(found, SETTINGS, named, "excess", "Excess tree distance", COLUMNS),
+            grid.score_table(found, SETTINGS, NAMING, "converged", "Share of the trial until convergence", COLUMNS),
+            grid.score_table(found, SETTINGS, NAMING, "excess", "Excess tree distance", COLUMNS),
         ],
     )

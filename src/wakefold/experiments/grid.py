@@ -37,6 +37,7 @@ LOG = (*PUBLISHED, BL1, BL1_COARSE, BL2)
 MATCHED = tuple(method._replace(likelihood="gaussian") for method in LOG)
 CALIBRATED = Method("calibrated", "gaussian")
 METHODS = (*LOG, *MATCHED, CALIBRATED)
+NAMING = tuple(method for method in METHODS if method.filter != "bl2")  # BL2 tells no classes apart
 LOOKS = {  # colour, marker
     "mhpf arxiv2016": ("#b2182b", "o"),
     "mhpf gsi2017": ("#ef8a62", "s"),
@@ -97,14 +98,14 @@ NOISE: dict[str, Callable[[Setting], str]] = {
 @styled
 def _chart(
     table: Found,
-    panels: Sequence[tuple[str, Sequence[Setting]]],
+    panels: Mapping[str, Sequence[Setting]],
     methods: Sequence[Method],
     score: str,
     label: str,
 ) -> Figure:
     figure = Figure(figsize=(2.6 * len(panels) + 1.2, 3.4), layout="constrained")
     axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-    for ax, (title, settings) in zip(axes, panels, strict=True):
+    for ax, (title, settings) in zip(axes, panels.items(), strict=True):
         for k, method in enumerate(methods):
             colour, marker = LOOKS[f"{method.filter} {method.rule}"]
             values = [means(table, setting, method, score) for setting in settings]
@@ -136,14 +137,19 @@ def _chart(
 
 def chart(
     table: Found,
-    panels: Sequence[tuple[str, Sequence[Setting]]],
+    settings: Sequence[Setting],
     methods: Sequence[Method],
     score: str,
     label: str,
     path: Path,
     caption: str,
+    columns: Mapping[str, Callable[[Setting], str]],
 ) -> Picture:
-    """A score over κ, a panel for each list of settings, with 95 % intervals over scenarios."""
+    """A score over κ, a panel for all else that ``columns`` say of settings, with 95 % intervals over scenarios."""
+    panels: dict[str, list[Setting]] = {}
+    for setting in settings:
+        title = ", ".join(f"{name} {text(setting)}" for name, text in columns.items() if name != "κ")
+        panels.setdefault(title, []).append(setting)
     plot.save(_chart(table, panels, methods, score, label), path)
     return Picture(path, caption, min(1080, 280 * len(panels) + 130))
 

@@ -54,18 +54,15 @@ def report(results: list[Any], size: Size, folder: Path) -> Section:
         )
     )
     claims.append(grid.claim_calibrated(found, [JUDGED], "mse", "MSE", 0.25))
-    panels = [
-        (f"truth {NOISE['truth'](s)}, ψ = {s.psi:.0%}", [s._replace(kappa=k) for k in LEVELS])
-        for s in (Setting("ways", t, 0.0, p) for t, p in product(("out", "in"), LEVELS))
-    ]
     picture = grid.chart(
         found,
-        panels,
+        SETTINGS,
         RUN,
         "mse",
         "mean squared error (unit square)",
         folder / "mse.png",
         "Mean squared error of the base estimate with 95 % intervals over scenarios. Dotted: the matched likelihood.",
+        NOISE,
     )
     return Section(
         TITLE,

@@ -41,6 +41,7 @@ class Size(NamedTuple):
         scenarios, repetitions: runs are scenarios x repetitions; the papers' 10 x 25.
         tanker_scenarios: of the tanker set; the papers' 5.
         particles: N.
+        tankers: the walks of the tanker set, by the name of their data; see ``rasters``.
         seed: of everything.
         quick: too few runs for a verdict.
     """
@@ -49,6 +50,7 @@ class Size(NamedTuple):
     repetitions: int = 25
     tanker_scenarios: int = 5
     particles: int = 100
+    tankers: str = "tankers"
     seed: int = 0
     quick: bool = False
 

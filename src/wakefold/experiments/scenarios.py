@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 from wakefold import datasets
 from wakefold.confusion import Reporter
 from wakefold.dynamics import Dynamics
+from wakefold.experiments.rasters import TANKERS, traffic
 from wakefold.filtration import Filtration
 from wakefold.kernels.reports import name_classes
 from wakefold.model import Model
@@ -32,7 +33,8 @@ class Setting(NamedTuple):
     """What is observed of whom, and what the model is told.
 
     Attributes:
-        data: "ways" (33 tracks in the configuration space), "common" (13 with common ends) or "tankers" (194).
+        data: "ways" (33 tracks in the configuration space), "common" (13 with common ends) or "tankers" (194; see
+            ``rasters``).
         truth: "out": the true track is in no model; "in": it is one of the training tracks.
         kappa, psi: noise of the dynamics and of observations.
         coarse: probability of a coarse report at a step.
@@ -40,6 +42,8 @@ class Setting(NamedTuple):
         wrong: share of the coarse reports that name any other class.
         linkage: "single" or "complete".
         epsilon: "default", or "near" (twice the spacing of the points) or "wide" (half the birth of the root).
+        spread: of the points that a coarse report is made from; psi without.
+        told_by: whose tree reports are named in: the "model"'s, or that of "all" tracks, the truth among them.
     """
 
     data: str
@@ -51,6 +55,8 @@ class Setting(NamedTuple):
     wrong: float = 0.0
     linkage: str = "single"
     epsilon: str = "default"
+    spread: float | None = None
+    told_by: str = "model"
 
 
 class Report(NamedTuple):
@@ -67,6 +73,11 @@ class Observed(NamedTuple):
     report: Report | None
 
 
+def _family(name: str) -> str:
+    """A data set's name without the place of its raster, on which no random number depends."""
+    return name.partition(":")[0]
+
+
 @lru_cache(maxsize=8)
 def data(name: str) -> Tracks:
     """The tracks of a data set."""
@@ -75,13 +86,13 @@ def data(name: str) -> Tracks:
             return datasets.configuration_space()
         case "common":
             return datasets.common_ends()
-        case "tankers":
-            return datasets.walks(*datasets.tanker_traffic())
+        case _ if _family(name) == TANKERS:
+            return datasets.walks(*traffic(name))
     raise ValueError(f"no data set {name!r}")
 
 
 @lru_cache(maxsize=64)
-def tree_of(name: str, linkage: str, without: int | None = None) -> tuple[Tracks, Filtration]:
+def tree_of(name: str, linkage: str, without: int | None) -> tuple[Tracks, Filtration]:
     """The tracks of a data set, all or without one, and their filtration."""
     tracks = data(name)
     if without is not None:
@@ -94,7 +105,7 @@ def chosen(name: str, number: int, seed: int) -> list[int]:
     tracks = data(name)
     if number > len(tracks):
         raise ValueError(f"{number} scenarios of {len(tracks)} tracks")
-    order = np.random.default_rng([seed, crc32(name.encode())]).permutation(len(tracks))
+    order = np.random.default_rng([seed, crc32(_family(name).encode())]).permutation(len(tracks))
     return order[:number].tolist()
 
 
@@ -111,7 +122,7 @@ class Scenario:
 
     def __init__(self, setting: Setting, truth: int) -> None:
         self.setting, self.truth = setting, truth
-        self.everything, self.tree = tree_of(setting.data, setting.linkage)
+        self.everything, self.tree = tree_of(setting.data, setting.linkage, None)
         out = setting.truth == "out"
         known, tree = tree_of(setting.data, setting.linkage, truth if out else None)
         self.kept = np.array([k for k in range(len(self.everything)) if not (out and k == truth)])
@@ -136,7 +147,7 @@ class Scenario:
     def observations(self, seed: int, repetition: int) -> list[Observed]:
         """What is observed at the steps 1 to n - 1 of a repetition."""
         s = self.setting
-        rng = np.random.default_rng([seed, crc32(s.data.encode()), self.truth, repetition])
+        rng = np.random.default_rng([seed, crc32(_family(s.data).encode()), self.truth, repetition])
         steps = len(self.path) - 1
         offsets = rng.uniform(size=(steps, 2))
         told, lies = rng.uniform(size=(2, steps))
@@ -148,31 +159,54 @@ class Scenario:
         named = dict.fromkeys(range(steps), -1)
         if reported.any():
             rows = np.flatnonzero(reported)
-            classes = self.namer.classes(at[rows, None] + scale * spread[rows])
+            classes = self.namer.classes(at[rows, None] + self.spread * spread[rows])
             named |= dict(zip(rows.tolist(), classes.tolist(), strict=True))
         out = []
         for k in range(steps):
             class_ = self.namer.another(named[k], int(other[k])) if reported[k] and lies[k] < s.wrong else named[k]
             fix = at[k] + scale * offsets[k] if leading[k] else None
-            out.append(Observed(fix, self.namer.report(class_) if reported[k] else None))
+            out.append(Observed(fix, self.report(class_) if reported[k] else None))
         return out
+
+    def report(self, class_: int) -> Report | None:
+        """The report that names a class of the namer's tree.
+
+        A class of the tree of all tracks is read as the least of the model's classes that holds its other tracks and is
+        no single track; None where that is the root, which says nothing.
+        """
+        tree = self.model.filtration
+        if self.namer.tree is not tree:
+            members = self.namer.tree.members(class_)
+            ranks = tree.rank[np.searchsorted(self.kept, members[members != self.truth])]
+            class_ = int(tree.order[ranks.min()])
+            while class_ < len(tree) or tree.hi[class_] <= ranks.max() or tree.lo[class_] > ranks.min():
+                class_ = int(tree.parent[class_])
+            if class_ == tree.root:
+                return None
+        return Report(class_, float(0.5 * (tree.birth[class_] + tree.death[class_])))
+
+    @property
+    def spread(self) -> float:
+        """Sd of the points that a coarse report is made from, plane units."""
+        s = self.setting
+        return (s.psi if s.spread is None else s.spread) * self.diagonal
 
     @cached_property
     def reporter(self) -> Reporter | None:
         """Who makes the coarse reports, as far as a filter may know: not the wrong ones. None where there are none."""
         if self.setting.coarse == 0.0:
             return None
-        scale = self.setting.psi * self.diagonal
 
         def report(positions: Floats, rng: np.random.Generator) -> NDArray[np.int64]:
-            samples = positions[:, None] + scale * rng.normal(size=(len(positions), SAMPLES, positions.shape[1]))
+            samples = positions[:, None] + self.spread * rng.normal(size=(len(positions), SAMPLES, positions.shape[1]))
             return self.namer.classes(samples)
 
         return report
 
     @cached_property
     def namer(self) -> Namer:
-        return _namer(self.setting.data, self.setting.linkage, self.truth if self.setting.truth == "out" else None)
+        s = self.setting
+        return _namer(s.data, s.linkage, self.truth if s.truth == "out" and s.told_by == "model" else None)
 
 
 class Namer:
@@ -200,10 +234,6 @@ class Namer:
         out = np.empty(len(samples), dtype=np.int64)
         name_classes(distances, self.owner[rows], self.tree.parent, self.size, self.diagonal, out)
         return out
-
-    def report(self, class_: int) -> Report:
-        """The report that names a class."""
-        return Report(class_, float(0.5 * (self.tree.birth[class_] + self.tree.death[class_])))
 
     def another(self, class_: int, number: int) -> int:
         """Any class that can be named but this one, picked by a number."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from wakefold.confusion import Confusion
 from wakefold.deviation import Deviation
 from wakefold.evidence import CoarseClass, Evidence, Fix
+from wakefold.experiments.rasters import TANKERS
 from wakefold.experiments.registry import Job, Size
 from wakefold.experiments.scenarios import Observed, Scenario, Setting, chosen
 from wakefold.filters.bootstrap import BL1, BL2
@@ -90,10 +91,11 @@ class Scores(NamedTuple):
 
 
 def job(setting: Setting, method: Method, size: Size, stack: bool = False) -> Job:
-    """A method under a setting; ``stack`` asks for the estimate from the whole stack, at four times the cost."""
-    scenarios = size.tanker_scenarios if setting.data == "tankers" else size.scenarios
-    if method.filter == "calibrated":  # it knows nothing of these, so what they are need not be run again
-        setting = setting._replace(kappa=0.0, epsilon="default")
+    """A method under a setting; ``stack`` asks MHPF for the estimate from the whole stack, at four times the cost."""
+    scenarios = size.tanker_scenarios if setting.data.startswith(TANKERS) else size.scenarios
+    if method.filter == "calibrated":  # its noise is its own, so no run differs from another by the model's
+        setting = setting._replace(kappa=0.0)
+    stack = stack and method.filter == "mhpf"  # the others have but one set
     spec = {
         "setting": setting._asdict(),
         "method": method._asdict(),
@@ -103,7 +105,7 @@ def job(setting: Setting, method: Method, size: Size, stack: bool = False) -> Jo
         "seed": size.seed,
         "stack": stack,
     }
-    dear = (4.0 if stack and method.filter == "mhpf" else 1.0) * (2.0 if setting.data == "tankers" else 1.0)
+    dear = (4.0 if stack else 1.0) * (2.0 if setting.data.startswith(TANKERS) else 1.0)
     return Job("simulate:run", spec, dear * scenarios * size.repetitions / 250)
 
 
