@@ -45,9 +45,9 @@ def report(results: list[Any], size: Size, folder: Path) -> Section:
             "As in Figure 7a, with 194 walks over the raster of Figure 8 and five scenarios. With five pairs no p "
             "can be below 0.0625; the paper gives 0.1.",
             "The paper leaves open what ψ is a share of, and who names the classes. As a share of the gulf's diagonal, "
-            "as for the other figures, a report is made from points all over the gulf. In the second reading, chosen on "
-            "rasters of other seeds, they are a hundredth as far from the agent, and classes are named in the tree of "
-            "all tracks, the true one among them, as the authors' public code has it; it still gets no particle.",
+            "as for the other figures, a report is made from points all over the gulf. In the second reading, chosen "
+            "on rasters of other seeds, they are a hundredth as far from the agent, and classes are named in the tree "
+            "of all tracks, the true one among them, as the authors' public code has it; it still gets no particle.",
         ],
         [
             grid.chart(
