@@ -57,6 +57,7 @@ def page() -> str:
             for inner, member in members(thing):
                 lines += entry(f"{name}.{inner}", member if isinstance(member, property) else getattr(thing, inner), 3)
     from wakefold import company, datasets, events, places, plot, relations, relations_fit, scene, walkers
+    from wakefold.filters import phases
 
     relational = [name for name in relations.__all__ if name not in wakefold.__all__]
     parts = (
@@ -66,7 +67,8 @@ def page() -> str:
         ("Lists of places", places, ["read_places"]),
         ("People, followed", walkers, ["follow", "Walkers"]),
         ("Who walks with whom", relations_fit, ["crowd", "Crowd", "fit", "TogetherFit", "SceneConstants"]),
-        ("What company tells", company, ["hide", "Beside", "learn_company", "beside", "reunite", "Reunion"]),
+        ("What company tells", company, ["hide", "Beside", "learn_company", "Company", "beside", "reunite", "Reunion"]),
+        ("Two objects, phase by phase", phases, ["Phase", "Turn", "PhaseFilter", "PairPhases"]),
         ("Pictures", plot, plot.__all__),
         ("Data of the papers", datasets, datasets.__all__),
     )
@@ -76,7 +78,7 @@ def page() -> str:
         for name in names:
             thing = getattr(part, name)
             lines += entry(f"{where.split('.')[-1]}.{name}", thing, 3)
-            if inspect.isclass(thing) and part is relations_fit:
+            if inspect.isclass(thing) and part in (relations_fit, phases):
                 own = [(n, m) for n, m in members(thing) if n in vars(thing) and callable(m)]
                 lines += [x for n, _ in own for x in entry(f"{name}.{n}", getattr(thing, n), 4)]
     return "\n".join(lines).rstrip() + "\n"

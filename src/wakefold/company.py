@@ -26,7 +26,8 @@ class Beside(NamedTuple):
         alone: ``(E, H, 2)`` where the person would be at constant velocity.
         shares: ``(E, H, 3, 2)`` what the partner's way may add to that: how far the partner has left *its* constant
             velocity, how far the two velocities would take them apart, where the partner was.
-        strength: ``(E, 4)`` on which the shares depend: 1, belief, nearness, likeness of the velocities.
+        strength: ``(E, 5)`` on which the shares depend: 1, belief, nearness, likeness of the velocities, whether they
+            came at the same time side by side.
         truth: ``(E, H, 2)`` where the person was.
     """
 
@@ -85,45 +86,82 @@ def hide(
     shares = np.stack([partner - y[:, None] - later * w[:, None], later * (w - v)[:, None], apart], axis=2)
     near = np.exp(-((y - x) ** 2).sum(axis=1) / 1.5**2)
     alike = 1.0 / (1.0 + np.hypot(*(w - v).T) / 0.3)
-    strength = np.column_stack([np.ones(len(p)), p, near, alike])
+    strength = np.column_stack([np.ones(len(p)), p, near, alike, _came(walkers, i, j)])
     return Beside(i, j, frame, p, together[q], x[:, None] + later * v[:, None], shares, strength, truth).rows(seen)
 
 
-def learn_company(scenes: Sequence[Beside], ridge: float = 1e-3) -> Floats:
-    """``(H, 12)`` how much of each share to take at each frame: least squares over scenes with known groups.
+def _came(walkers: Walkers, i: Ints, j: Ints) -> Floats:
+    """``(E,)`` near 1 for two who came at the same time side by side, 0 where one was there from the beginning."""
+    first = np.maximum(walkers.begin[i], walkers.begin[j])
+    a, b = (walkers.position[walkers.offsets[x] + first - walkers.begin[x]] for x in (i, j))
+    gap = np.abs(walkers.begin[i] - walkers.begin[j]) * walkers.dt
+    before = np.minimum(walkers.begin[i], walkers.begin[j]) <= walkers.begin.min() + 2
+    return np.where(before, 0.0, np.exp(-gap - ((a - b) ** 2).sum(axis=1) / 1.5**2))
 
-    Scenes weigh with the square root of their number of rows.
+
+class Company(NamedTuple):
+    """What company tells of a hidden person; made by ``learn_company``.
+
+    Attributes:
+        taken: ``(H, 15)`` how much of each share to take at each frame.
+        lift, power: partners count with (belief + lift x nearness x likeness) ** power.
     """
-    weights = [len(s.person) ** -0.25 for s in scenes]
-    out: list[NDArray] = []
-    for h in range(scenes[0].truth.shape[1]):
-        x = np.concatenate([_columns(s, h) * w for s, w in zip(scenes, weights, strict=True)])
-        y = np.concatenate([(s.truth - s.alone)[:, h].ravel() * w for s, w in zip(scenes, weights, strict=True)])
-        normal = x.T @ x
-        out.append(np.linalg.solve(normal + ridge * np.diag(np.diag(normal)), x.T @ y))
-    return np.array(out)
+
+    taken: Floats
+    lift: float
+    power: float
 
 
-def beside(scene: Beside, taken: Floats) -> tuple[Ints, Floats]:
-    """Where each hidden person is thought to be: ``(n,)`` first row of each person and moment, ``(n, H, 2)`` positions.
+def learn_company(scenes: Sequence[Beside], *, lift: float = 1.0, power: float = 2.0, ridge: float = 1e-3) -> Company:
+    """Least squares over scenes with known groups, at the moments at which a hidden person has company in sight.
 
-    Partners count with the square of the belief.
+    What several partners say is learned as it is used: averaged. Scenes weigh with the square root of their number of
+    moments.
+
+    Args:
+        lift, power: see ``Company``.
+        ridge: share by which the diagonal of the normal equations is raised.
     """
-    moves = np.stack([(_columns(scene, h) @ taken[h]).reshape(-1, 2) for h in range(scene.truth.shape[1])], axis=1)
+    width, frames = 3 * scenes[0].strength.shape[1], scenes[0].truth.shape[1]
+    normal, right = np.zeros((frames, width, width)), np.zeros((frames, width, 1))
+    for scene in scenes:
+        _, which = _moments(scene)
+        accompanied = np.bincount(which, scene.together) > 0
+        first, columns = _told(scene.rows(accompanied[which]), lift, power)
+        away = (scene.truth - scene.alone)[accompanied[which]][first]
+        weight = len(first) ** -0.5
+        normal += weight * np.einsum("nhkd,nhld->hkl", columns, columns)
+        right += weight * np.einsum("nhkd,nhd->hk", columns, away)[:, :, None]
+    normal *= 1.0 + ridge * np.eye(width)
+    return Company(np.asarray(np.linalg.solve(normal, right)[:, :, 0], dtype=np.float64), lift, power)
+
+
+def beside(scene: Beside, company: Company) -> tuple[Ints, Floats]:
+    """Where each hidden person is thought to be: ``(n,)`` first row of each, ``(n, H, 2)`` positions."""
+    first, columns = _told(scene, company.lift, company.power)
+    return first, scene.alone[first] + np.einsum("nhkd,hk->nhd", columns, company.taken)
+
+
+def _moments(scene: Beside) -> tuple[Ints, Ints]:
+    """``(n,)`` first row of each person and moment, ``(E,)`` which of them each row is."""
     _, first, which = np.unique(
         np.column_stack([scene.person, scene.frame]), axis=0, return_index=True, return_inverse=True
     )
-    which = which.ravel()
-    weight = scene.belief**2 + 1e-6
-    total = np.zeros((len(first), *moves.shape[1:]))
-    np.add.at(total, which, moves * weight[:, None, None])
-    return first, scene.alone[first] + total / np.bincount(which, weight)[:, None, None]
+    return first, which.ravel()
 
 
-def _columns(scene: Beside, h: int) -> Floats:
-    """``(2 E, 12)`` shares times strengths, the two coordinates in turn."""
-    both = scene.shares[:, h, :, None, :] * scene.strength[:, None, :, None]
-    return both.reshape(len(both), -1, 2).transpose(0, 2, 1).reshape(2 * len(both), -1)
+def _told(scene: Beside, lift: float, power: float) -> tuple[Ints, Floats]:
+    """First rows as in ``_moments``; shares times strengths, averaged over the partners, ``(n, H, 15, 2)``."""
+    first, which = _moments(scene)
+    _, belief, near, alike, _ = scene.strength.T
+    weight = (belief + lift * near * alike) ** power + 1e-6
+    weight /= np.bincount(which, weight)[which]
+    rows = (scene.shares[:, :, :, None, :] * (weight[:, None] * scene.strength)[:, None, None, :, None]).reshape(
+        *scene.shares.shape[:2], -1, 2
+    )
+    out = np.zeros((len(first), *rows.shape[1:]))
+    np.add.at(out, which, rows)
+    return first, out
 
 
 class Reunion(NamedTuple):
