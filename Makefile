@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test lint types check lock bench clean
+.PHONY: setup demo test lint types reproduce-quick check lock bench clean
 setup: .venv/ready
 
 .venv/ready: requirements/dev.txt pyproject.toml
@@ -25,7 +25,10 @@ lint: setup
 types: setup
 	$(BIN)/pyright
 
-check: lint types test
+reproduce-quick: setup  ## every experiment of the papers with a few runs, about a minute
+	$(BIN)/wakefold reproduce --quick --out out/reproduced-quick
+
+check: lint types test reproduce-quick
 
 lock:                ## renew the locks after a change of pyproject.toml (needs uv)
 	uv pip compile --universal --generate-hashes --no-emit-index-url --python-version 3.11 --extra dev --extra demo -q -o requirements/dev.txt pyproject.toml

@@ -17,7 +17,8 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 MOST = 300  # tracks that are held out
 PIECES = 4  # of a track, each with offsets of its own
-RIVALS = 30  # tracks that are held out to see how far fixes tell tracks apart
+SHOWN = 30  # tracks that are held out to see how far fixes tell tracks apart
+RIVALS = 100  # tracks that they are told from, and at most so many relatives
 KINDS = 3  # ratios that stand for all
 LEAST = 0.1  # of the median scale, and ratio: equal tracks do not show that agents never stray
 
@@ -70,7 +71,8 @@ class Deviation(NamedTuple):
         this: its noise, in all directions, is the model's.
 
         The power is the one under which the points of a track that is held out, taken for fixes, give the other tracks
-        of its parent class the largest mean log-probability; of at most 30 tracks. 1 if no parent tells tracks apart.
+        of its parent class the largest mean log-probability; at most 30 are held out, at most 200 told apart. 1 if no
+        parent tells tracks apart.
         """
         tracks, dynamics, step = model.tracks, model.dynamics, model.dynamics.interval
         rate = 1.0 / (float(np.median(tracks.duration)) or step)
@@ -82,7 +84,7 @@ class Deviation(NamedTuple):
         ratios: list[float] = []
         products = squares = lag = 0.0
         steps = 0
-        for track in np.unique(np.linspace(0, len(tracks) - 1, min(MOST, len(tracks))).round().astype(np.int64)):
+        for track in _spread(len(tracks), MOST):
             other = _others(model, int(track), int(track))[0][0]
             own, times, there = tracks[int(track)], tracks.times_of(int(track)), tracks[other]
             velocity = dynamics.velocity(own, other)
@@ -112,17 +114,21 @@ class Deviation(NamedTuple):
         return learned._replace(power=_power(model, learned))
 
 
+def _spread(count: int, most: int) -> Ints:
+    """At most so many of ``count`` numbers, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(np.int64))
+
+
 def _power(model: Model, beside: Deviation) -> float:
     """See ``Deviation.learn``."""
     tracks, tree = model.tracks, model.filtration
     powers = np.linspace(0.0, 1.0, 41)[1:]
     scores = np.zeros(len(powers))
-    for track in np.unique(np.linspace(0, len(tracks) - 1, min(RIVALS, len(tracks))).round().astype(np.int64)):
+    for track in _spread(len(tracks), SHOWN):
         relatives = tree.members(int(tree.parent[track]))
         if len(relatives) == len(tracks):
             continue
-        rivals = np.unique(np.linspace(0, len(tracks) - 1, min(MOST, len(tracks))).round().astype(np.int64))
-        rivals = np.setdiff1d(np.union1d(rivals, relatives[:MOST]), [track])
+        rivals = np.setdiff1d(np.union1d(_spread(len(tracks), RIVALS), relatives[:RIVALS]), [track])
         told = _told(model, beside, int(track), rivals)
         related = np.isin(rivals, relatives)
         told = np.maximum(told - told.max(axis=1, keepdims=True), -700.0)  # so that no probability is zero

@@ -121,12 +121,12 @@ def _hmm(
 
 
 def jobs(size: Size) -> list[Job]:
-    """A job for each split of each condition: 100, or 6 of the first when quick."""
+    """A job for each split of each condition: 100, or 2 of the first when quick."""
     conditions = list(CONDITIONS)[:1] if size.quick else list(CONDITIONS)
     out = []
     for name in conditions:
         models = list(MODELS) if name == conditions[0] else list(FEW)
-        for k in range(6 if size.quick else 100):
+        for k in range(2 if size.quick else 100):
             spec = {"condition": name, "split": k, "seed": size.seed, "models": models}
             out.append(Job("rendezvous:split", spec, cost=float(len(models))))
     return out
