@@ -52,8 +52,8 @@ def report(results: list[Any], size: Size, folder: Path) -> Section:
             "time, and its excess over the best attainable: with the truth left out of the model even the nearest "
             "track is some distance away. The dynamics' noise of 30 to 75 % of the diagonal at every step moves a "
             "particle across the whole domain, so under the -log weight nothing but the reports tells the classes "
-            "apart: BL1, which is not given them, knows next to nothing, and BL1+coarse, which is, does as well as MHPF "
-            "or better. With the matched likelihood, fixes of 1 % tell them apart without any report.",
+            "apart: BL1, which is not given them, knows next to nothing, and BL1+coarse, which is, does as well as "
+            "MHPF or better. With the matched likelihood, fixes of 1 % tell them apart without any report.",
         ],
         [
             grid.chart(
