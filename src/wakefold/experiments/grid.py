@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -102,6 +102,7 @@ def _chart(
     methods: Sequence[Method],
     score: str,
     label: str,
+    scale: Literal["linear", "log"],
 ) -> Figure:
     figure = Figure(figsize=(2.6 * len(panels) + 1.2, 3.4), layout="constrained")
     axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
@@ -127,7 +128,10 @@ def _chart(
         ax.set_xticks(range(len(settings)), [f"{s.kappa:.0%}" for s in settings])
         ax.set_xlabel("noise of the dynamics κ")
         ax.set_title(title)
-        ax.set_ylim(bottom=0)
+        if scale == "log":  # an interval that reaches below zero is cut
+            ax.set_yscale("log", nonpositive="clip")
+        else:
+            ax.set_ylim(bottom=0)
         ax.grid(axis="y", linewidth=0.3)
     axes[0].set_ylabel(label)
     handles, labels = axes[0].get_legend_handles_labels()
@@ -144,13 +148,14 @@ def chart(
     path: Path,
     caption: str,
     columns: Mapping[str, Callable[[Setting], str]],
+    scale: Literal["linear", "log"] = "linear",
 ) -> Picture:
     """A score over κ, a panel for all else that ``columns`` say of settings, with 95 % intervals over scenarios."""
     panels: dict[str, list[Setting]] = {}
     for setting in settings:
         title = ", ".join(f"{name} {text(setting)}" for name, text in columns.items() if name != "κ")
         panels.setdefault(title, []).append(setting)
-    plot.save(_chart(table, panels, methods, score, label), path)
+    plot.save(_chart(table, panels, methods, score, label, scale), path)
     return Picture(path, caption, min(1080, 280 * len(panels) + 130))
 
 

@@ -63,6 +63,7 @@ def report(results: list[Any], size: Size, folder: Path) -> Section:
         folder / "mse.png",
         "Mean squared error of the base estimate with 95 % intervals over scenarios. Dotted: the matched likelihood.",
         NOISE,
+        scale="log",
     )
     return Section(
         TITLE,
