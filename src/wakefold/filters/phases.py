@@ -60,9 +60,12 @@ class Phase:
 class Turn:
     """One phase follows another, at ``rate`` per second times the probability of what the objects must be like.
 
-    That is a product of exp(-x² / (2 s²)) for each of these x whose s is given:
+    That is a product of exp(-x² / (2 s²)) over the distance, the difference of the velocities and either speed, each
+    with its s; one that is not given asks nothing.
 
     Args:
+        before, after: names of phases.
+        rate: per second.
         near: metres, for their distance.
         same_velocity: m/s, for the difference of their velocities.
         slow: m/s, for the speed of either.
