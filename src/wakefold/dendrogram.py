@@ -76,7 +76,7 @@ def classes(order: Ints, gaps: Floats) -> dict[str, NDArray]:
     low, high, above = np.empty((3, 2 * tracks - 1), dtype=np.int64)
     born = np.empty(2 * tracks - 1)
     count = nest(gaps.copy(), low, high, born, above)  # read-only arrays would be compiled for again
-    by = np.argsort(born[tracks:count], kind="stable")
+    by = np.argsort(born[tracks:count])
     merged = tracks + by[_sorted_within_ties(born[tracks:count][by], low[tracks:count][by])]
     node_of = np.concatenate([rank, merged])
     class_of = np.empty(count, dtype=np.int64)

@@ -147,13 +147,12 @@ class Filtration:
         self._check_tracks(tracks)
         if self.linkage != "single":
             raise ValueError("only single linkage can be extended; fit the complete linkage of all tracks again")
-        ids = np.concatenate([tracks.ids, new.ids])
-        if len(set(ids.tolist())) < len(ids):
+        if not set(new.ids.tolist()).isdisjoint(tracks.ids.tolist()):
             raise ValueError("a new track has an id that is used already")
         if len(new) == 0:
             return self
         tree = grown_tree(self._index_of(tracks), self.order, self.gaps, new, threads)
-        return Filtration(*dendrogram.leaf_order(*tree), ids)
+        return Filtration(*dendrogram.leaf_order(*tree), np.concatenate([tracks.ids, new.ids]))
 
     @classmethod
     def from_distances(cls, distances: ArrayLike, ids: ArrayLike, linkage: Linkage = "single") -> Filtration:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wakefold.dendrogram import range_maxima
-from wakefold.features import Boxes, boxes_of
+from wakefold.features import Boxes, boxes_of, in_lanes
 from wakefold.parallel import thread_map
 from wakefold.search import TrackIndex
 from wakefold.spanning import _grow as spanning_forest
@@ -14,7 +14,7 @@ from wakefold.tracks import Floats, Tracks
 
 Ints = NDArray[np.int64]
 
-PIECE = 16  # new tracks that search in one piece of work
+PIECE = 64  # new tracks that search in one piece of work
 
 
 def grown_tree(
@@ -41,14 +41,16 @@ def grown_tree(
     rank = np.empty(len(old), dtype=np.int64)
     rank[order] = np.arange(len(old))
 
-    nowhere = np.full(len(new), -1)
-    pairs, heights = _edges(new, features, nowhere, old, boxes, rank, range_maxima(gaps), scale, threads)
-    first = np.concatenate([order[:-1], len(old) + pairs[:, 0]])
-    second = np.concatenate([order[1:], pairs[:, 1]])
-    forest = spanning_forest(None, first, second, np.concatenate([gaps, heights]), len(old) + len(new))
+    of_new, nowhere = boxes_of(features), np.full(len(new), -1)
+    asking = new, of_new.order, features
+    pairs, heights = _edges(*asking, nowhere, old, boxes, index.lanes, rank, range_maxima(gaps), scale, threads)
+    by = np.argsort(gaps)
+    first = np.concatenate([order[:-1][by], len(old) + pairs[:, 0]])
+    second = np.concatenate([order[1:][by], pairs[:, 1]])
+    forest = spanning_forest(None, first, second, np.concatenate([gaps[by], heights]), len(old) + len(new))
 
     rank = forest.rank[len(old) :]
-    pairs, heights = _edges(new, features, rank, new, boxes_of(features), rank, forest.maxima, scale, threads)
+    pairs, heights = _edges(*asking, rank, new, of_new, in_lanes(of_new), rank, forest.maxima, scale, threads)
     pairs += len(old)
     forest = spanning_forest(forest, pairs[:, 0], pairs[:, 1], heights, len(old) + len(new))
     return np.stack([forest.first, forest.second], axis=1), forest.heights
@@ -56,25 +58,28 @@ def grown_tree(
 
 def _edges(
     new: Tracks,
+    by: Ints,
     features: NDArray[np.float32],
     entries: Ints,
     others: Tracks,
     boxes: Boxes,
+    lanes: NDArray[np.float32],
     rank: Ints,
     maxima: Floats,
     scale: tuple[float, float],
     threads: int | None,
 ) -> tuple[Ints, Floats]:
-    """Edges of all new tracks that could be of use, see ``wakefold.kernels.growth.edges_to``."""
+    """Edges of all new tracks that could be of use, who ask in the order ``by``; see ``wakefold.kernels.growth``."""
     from wakefold.kernels.growth import edges_to
 
     rank = rank[boxes.order]
     tree = rank, _over_boxes(np.minimum, rank, boxes.bounds), _over_boxes(np.maximum, rank, boxes.bounds), maxima
+    shape = boxes.order, boxes.bounds, boxes.low, boxes.high
     axes = (0,) * new.dim
 
     def work(start: int) -> tuple[Ints, Floats]:
-        asked = start, min(start + PIECE, len(new)), new.points, new.offsets, features, entries
-        return edges_to(*asked, others.points, others.offsets, tuple(boxes), tree, scale, axes)
+        asked = by[start : start + PIECE], new.points, new.offsets, features, entries
+        return edges_to(*asked, others.points, others.offsets, shape, lanes, tree, scale, axes)
 
     found = thread_map(work, range(0, len(new), PIECE), threads)
     pairs, heights = zip(*found, strict=True)

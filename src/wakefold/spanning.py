@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from wakefold import store
 from wakefold.dendrogram import largest_between, range_maxima
 from wakefold.distance import in_units
-from wakefold.features import MARGIN, Boxes, in_lanes
+from wakefold.features import MARGIN, Boxes
 from wakefold.parallel import Executor, Progress, Threads
 from wakefold.search import TrackIndex
 from wakefold.tracks import Floats, Tracks
@@ -147,7 +147,7 @@ def spanning_tree(
     (singles,), exponent = in_units([tracks.points], "float32") if len(tracks.points) >= LONG * count else ([None], 0)
     singles = None if singles is None else share(singles)
     work = Work(tracks, executor, share(tracks.points), share(tracks.offsets), singles, exponent, unit)
-    shape = tuple(map(share, (boxes.features, in_lanes(boxes), boxes.bounds, boxes.low, boxes.high)))
+    shape = tuple(map(share, (boxes.features, index.lanes, boxes.bounds, boxes.low, boxes.high)))
     part, box_part = np.arange(count), np.empty(len(boxes.low), dtype=np.int64)
     pieces = max(16, count // TRACKS)
     neighbours = np.abs(np.diff(boxes.features, axis=0)).max(axis=1)

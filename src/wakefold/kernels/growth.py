@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+# The first parameter of an intrinsic is numba's typing context, which the caller does not give.
+# pyright: reportCallIssue=false
 import numpy as np
 
 from wakefold.kernels.compile import inner, kernel
 from wakefold.kernels.dendrogram import largest
 from wakefold.kernels.frechet import track_against_tracks
+from wakefold.kernels.frechet_tree import gaps_squared
 from wakefold.kernels.search import gap_squared
+from wakefold.kernels.simd import LANES, store
+
+LANES32 = LANES["float32"]
+
+
+@inner
+def limit_of(length, scale):
+    """Squared lower bound, in units, from which on a distance is at least a length."""
+    unit, margin = scale
+    return ((length + margin) / unit) ** 2
 
 
 @inner
@@ -23,24 +36,24 @@ def limit_by(way, entry, first, last, maxima, scale):
     """
     if entry < 0:
         return np.inf
-    unit, margin = scale
-    return ((max(way, largest(maxima, min(entry, first), max(entry, last))) + margin) / unit) ** 2
+    return limit_of(max(way, largest(maxima, min(entry, first), max(entry, last))), scale)
 
 
 @kernel
-def edges_to(start, stop, points, offsets, features, entries, others, other_offsets, boxes, tree, scale, axes):
+def edges_to(asking, points, offsets, features, entries, others, other_offsets, boxes, lanes, tree, scale, axes):
     """Edges of some tracks that could be part of a minimum spanning tree, given a tree of those they are to join.
 
     An edge is of no use if the tracks at its ends are joined by a way no longer than its lower bound: over the entry,
     which is the nearest track met so far, and on through the tree.
 
     Args:
-        start, stop: the tracks that ask.
+        asking: the tracks that ask; those near each other in turn find boxes and ranks in the cache.
         points, offsets, features: ragged tracks, and their features ``(K, F)``.
         entries: ``(K,)`` ranks of the tracks that ask if they are in the tree and in the boxes, otherwise -1. Of two
             tracks in the boxes, the first one asks.
         others, other_offsets: ragged tracks in the boxes.
-        boxes: their order, features, bounds, low, high: see ``wakefold.features.Boxes``.
+        boxes: their order, bounds, low, high: see ``wakefold.features.Boxes``.
+        lanes: features of the tracks in the boxes once more, see ``wakefold.features.in_lanes``.
         tree: ranks of the others in box order, least and largest rank in each box, range maxima of the gaps.
         scale: (unit of the features, margin of the bounds), metres.
         axes: tuple of d integers.
@@ -48,37 +61,34 @@ def edges_to(start, stop, points, offsets, features, entries, others, other_offs
     Returns:
         ``(E, 2)`` track that asks, other; ``(E,)`` distances, metres.
     """
-    order, boxed, bounds, low, high = boxes
+    order, bounds, low, high = boxes
     rank, first, last, maxima = tree
     inner, d = len(bounds) - 2, len(axes)
     pairs, heights, count = np.empty((1024, 2), np.int64), np.empty(1024), 0
     stack, gaps = np.empty(64, np.int64), np.empty(64, np.float32)
-    fullest = 0
-    for leaf in range(inner + 1):
-        fullest = max(fullest, bounds[leaf + 1] - bounds[leaf])
-    places, found = np.empty(fullest, np.int64), np.empty(fullest)
-    for x in range(start, stop):
+    squares, places, found = np.empty(LANES32, np.float32), np.empty(LANES32, np.int64), np.empty(LANES32)
+    for x in asking:
         entry, way = entries[x], 0.0 if entries[x] >= 0 else np.inf
         stack[0], gaps[0], top = 0, 0.0, 1
         while top > 0:
             top -= 1
             n = stack[top]
-            limit = limit_by(way, entry, first[n], last[n], maxima, scale)
-            if gaps[top] >= limit:
+            gap = gaps[top]  # the tree, whose table is large, is asked only where the way alone does not keep the box
+            if gap >= limit_of(way, scale) and gap >= limit_by(way, entry, first[n], last[n], maxima, scale):
                 continue
             if n < inner:
-                left = gap_squared(features, x, low, high, 2 * n + 1, d, limit)
-                right = gap_squared(features, x, low, high, 2 * n + 2, d, limit)
+                left = gap_squared(features, x, low, high, 2 * n + 1, d, np.inf)
+                right = gap_squared(features, x, low, high, 2 * n + 2, d, np.inf)
                 nearer = 1 if left <= right else 0  # of the two, on top
                 stack[top + 1 - nearer], gaps[top + 1 - nearer] = 2 * n + 2, right
                 stack[top + nearer], gaps[top + nearer] = 2 * n + 1, left
                 top += 2
                 continue
-            m = 0
-            for y in range(bounds[n - inner], bounds[n - inner + 1]):
-                limit = limit_by(way, entry, rank[y], rank[y], maxima, scale)
+            m, start = 0, bounds[n - inner]
+            store(squares, 0, gaps_squared(features, x, lanes, n - inner, d))
+            for y in range(start, bounds[n - inner + 1]):
                 asked_by_other = entries[x] >= 0 and order[y] <= x
-                if not asked_by_other and gap_squared(features, x, boxed, boxed, y, d, limit) < limit:
+                if not asked_by_other and squares[y - start] < limit_by(way, entry, rank[y], rank[y], maxima, scale):
                     places[m] = y
                     m += 1
             if m == 0:
