@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from wakefold.io import ReadError, rules
 from wakefold.io.collect import Collector
-from wakefold.io.records import Latest, Rows
+from wakefold.io.records import Latest, Rows, last_rows
 
 ROWS = st.lists(
     st.tuples(st.sampled_from("abc"), *([st.integers(0, 8).map(float)] * 3)), min_size=1, max_size=40
@@ -98,8 +98,8 @@ def test_latest_over_many_merges_and_kinds(monkeypatch):
         codes = random.integers(0, 20, 30).astype(np.int32)
         values = random.choice(["", "x", "y", "z"], 30)
         good = random.random(30) < 0.8
-        latest.add(codes, pa.array(values.tolist()), good)
+        latest.add(codes, pa.array(values.tolist()), good, last_rows(codes, good))
         expected |= {int(c): str(v) for c, v, g in zip(codes, values, good, strict=True) if g and v}
     assert latest.of(np.arange(25)).tolist() == [expected.get(c, "") for c in range(25)]
-    latest.add(np.array([3], dtype=np.int32), np.array([1.5]), np.array([True]))
+    latest.add(np.array([3], dtype=np.int32), np.array([1.5]), np.array([True]), np.array([0]))
     assert latest.of(np.array([3])).tolist() == ["1.5"]

@@ -71,7 +71,8 @@ class Tracks:
             raise ValueError(f"track id {str(names[counts > 1][0])!r} is used more than once")
         if (lengths <= 0).any():
             raise ValueError(f"track {str(ids[np.argmax(lengths <= 0)])!r} has no points")
-        self._refuse(~np.asarray(np.isfinite(points).all(axis=1)), offsets, ids, "a position that is not finite")
+        if not np.isfinite(points).all():
+            self._refuse(~np.asarray(np.isfinite(points).all(axis=1)), offsets, ids, "a position that is not finite")
         self._refuse(~np.isfinite(times), offsets, ids, "a time that is not finite")
         backwards = np.zeros(len(times), dtype=bool)
         backwards[1:] = np.diff(times) <= 0

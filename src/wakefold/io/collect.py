@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any, Literal
 
@@ -10,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from wakefold.io.records import Floats, Latest, Rows, Static, as_text
+from wakefold.io.records import Floats, Latest, Rows, Static, as_text, last_rows
 from wakefold.io.report import ReadError, Report, Tally
 from wakefold.io.rules import Mask, grouping, jumps, project, repeated, sort_times, starts, taken
 from wakefold.tracks import Tracks
@@ -63,8 +64,7 @@ class Collector:
             here = np.logical_and.reduce([np.isfinite(p) for p in rows.position])
         good = self._refuse("no position", here, good, rows)
 
-        for name, values in rows.attributes.items():
-            self._attributes.setdefault(name, Latest()).add(codes, values, good)
+        self._describe(codes, good, rows.attributes)
         fields: dict[str, NDArray[Any]] = {"code": codes, "time": time, "line": rows.lines.astype(np.uint32)}
         fields |= {f"position {i}": p for i, p in enumerate(rows.position)}
         fields |= {f"column {name}": values for name, values in rows.columns.items()}
@@ -81,8 +81,12 @@ class Collector:
     def describe(self, static: Static) -> None:
         """Take up attributes that come without positions."""
         codes = self._encode(static.agent, len(static.agent))
-        for name, values in static.attributes.items():
-            self._attributes.setdefault(name, Latest()).add(codes, values, codes >= 0)
+        self._describe(codes, codes >= 0, static.attributes)
+
+    def _describe(self, codes: NDArray[np.int32], good: Mask, attributes: Mapping[str, Any]) -> None:
+        last = last_rows(codes, good)
+        for name, values in attributes.items():
+            self._attributes.setdefault(name, Latest()).add(codes, values, good, last)
 
     def _same_plane(self, rows: Rows) -> None:
         plane = "longitude and latitude" if rows.geodetic else f"{len(rows.position)} plane coordinates"

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from wakefold.io import times
 from wakefold.io.records import as_text, decoded, to_numbers
 from wakefold.io.report import ReadError
-from wakefold.io.source import Source, newlines
+from wakefold.io.source import Source
 
 THREADS = 2
 DELIMITERS = ",;\t|"
@@ -106,15 +106,15 @@ def read(
     parse = _Parser(layout, wanted, time_format)
     pending: deque[Future[Block]] = deque()
     with ThreadPoolExecutor(THREADS) as pool:
-        for first, raw in source.blocks():
+        for first, raw, count in source.blocks():
             if first <= layout.header:
                 skip = layout.header + 1 - first
-                first, raw = layout.header + 1, b"".join(raw.split(b"\n", skip)[skip:])
+                first, raw, count = layout.header + 1, b"".join(raw.split(b"\n", skip)[skip:]), count - skip
             if not raw:
                 continue
             if not pending:
                 parse.learn_times(raw)
-            pending.append(pool.submit(parse, first, raw))
+            pending.append(pool.submit(parse, first, raw, count))
             if len(pending) > THREADS:
                 yield pending.popleft().result()
         while pending:
@@ -137,8 +137,7 @@ class _Parser:
             values = [as_text(c[where[0]]).strip('"') for c in cells if len(c) > where[0]]
             self.time_type = times.arrow_type(values, self.time_format)
 
-    def __call__(self, first: int, raw: bytes) -> Block:
-        count = newlines(raw) + (not raw.endswith(b"\n"))
+    def __call__(self, first: int, raw: bytes, count: int) -> Block:
         if self.layout.delimiter != " " and _plain(raw):
             try:
                 table, bad = self._typed(raw)

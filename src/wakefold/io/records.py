@@ -90,8 +90,28 @@ class Latest:
         self._room = 0
         self._numbers = True
 
-    def add(self, codes: NDArray[np.int32], values: NDArray[np.floating] | pa.Array, good: NDArray[np.bool_]) -> None:
-        """Take up the values ``(n,)`` of the good rows, whose agents are ``codes``."""
+    def add(
+        self,
+        codes: NDArray[np.int32],
+        values: NDArray[np.floating] | pa.Array,
+        good: NDArray[np.bool_],
+        last: NDArray[np.integer],
+    ) -> None:
+        """Take up the values ``(n,)`` of the good rows, whose agents are ``codes`` and whose ``last_rows`` are given.
+
+        Most often these alone have to be looked at.
+        """
+        empty = self._add_rows(codes, values, last)
+        if len(empty):
+            lacking = np.zeros(int(codes.max()) + 1, dtype=bool)
+            lacking[codes[empty]] = True
+            self._add_rows(codes, values, np.flatnonzero(lacking[codes] & good))
+
+    def _add_rows(
+        self, codes: NDArray[np.int32], values: NDArray[np.floating] | pa.Array, rows: NDArray[np.integer]
+    ) -> NDArray[np.integer]:
+        """Take up the values of some rows, rising; returns the rows that are empty."""
+        values = _take(values, rows)
         if isinstance(values, np.ndarray):
             known = ~np.isnan(values)
         else:
@@ -99,14 +119,15 @@ class Latest:
             values = values.cast(pa.binary() if is_text(values) else pa.string()).cast(pa.binary())
             values = values.fill_null(b"") if values.null_count else values
             known = np.diff(np.frombuffer(values.buffers()[1], dtype=np.int32)[values.offset :][: len(values) + 1]) > 0
-        rows = np.flatnonzero(known & good)
-        if len(rows):
-            changed, where = _last(codes[rows])
+        full = np.flatnonzero(known)
+        if len(full):
+            changed, where = _last(codes[rows[full]])
             self._codes.append(changed)
-            self._values.append(_take(values, rows[where]))
+            self._values.append(_take(values, full[where]))
             if sum(map(len, self._codes)) > self._room:
                 self._merge()
                 self._room = max(MERGE, 8 * len(self._codes[0]))
+        return rows[~known]
 
     def _merge(self) -> None:
         changed, where = _last(np.concatenate(self._codes))
@@ -133,6 +154,12 @@ def _take(values: NDArray[np.floating] | pa.Array, where: NDArray[np.integer]) -
 
 def _as_bytes(values: NDArray[np.floating] | pa.Array) -> pa.Array:
     return pa.array(values).cast(pa.string()).cast(pa.binary()) if isinstance(values, np.ndarray) else values
+
+
+def last_rows(codes: NDArray[np.int32], good: NDArray[np.bool_]) -> NDArray[np.integer]:
+    """The last of the good rows ``(n,)`` of each agent, rising."""
+    rows = np.flatnonzero(good)
+    return np.sort(rows[_last(codes[rows])[1]]) if len(rows) else rows
 
 
 def _last(codes: NDArray[np.integer]) -> tuple[NDArray[np.integer], NDArray[np.integer]]:

@@ -67,8 +67,8 @@ class Source:
             return data
         return self._more(size)
 
-    def blocks(self, size: int = BLOCK) -> Iterator[tuple[int, bytes]]:
-        """Whole lines in blocks of about ``size`` bytes, each with the number of its first line, from 1."""
+    def blocks(self, size: int = BLOCK) -> Iterator[tuple[int, bytes, int]]:
+        """Whole lines in blocks of about ``size`` bytes: number of the first line, from 1, block, number of lines."""
         number, rest = 1, b""
         while data := self.read(size):
             cut = data.rfind(b"\n") + 1
@@ -78,15 +78,16 @@ class Source:
                     raise ReadError(f"{self.name}: line {number} is longer than {LONGEST_LINE >> 20} MiB")
                 continue
             block = b"".join((rest, memoryview(data)[:cut]))
-            yield number, block
-            number += newlines(block)
+            count = newlines(block)
+            yield number, block, count
+            number += count
             rest = data[cut:]
         if rest:
-            yield number, rest
+            yield number, rest, 1
 
     def lines(self) -> Iterator[tuple[int, bytes]]:
         """Lines without their ends, with their numbers from 1; blank ones are left out."""
-        for number, block in self.blocks():
+        for number, block, _ in self.blocks():
             for i, line in enumerate(block.split(b"\n")):
                 if line := line.strip():
                     yield number + i, line
