@@ -6,8 +6,9 @@ from __future__ import annotations
 # pyright: reportCallIssue=false
 import numpy as np
 
-from wakefold.kernels.compile import inner, kernel, ordered_inner, ordered_kernel
+from wakefold.kernels.compile import inner, kernel, ordered_kernel
 from wakefold.kernels.dendrogram import find, largest
+from wakefold.kernels.search import gap_squared
 from wakefold.kernels.simd import fill, higher, load, magnitude, minus, plus, store, times, within
 
 
@@ -92,24 +93,6 @@ def label_boxes(part, bounds, box_part):
         box_part[n] = box_part[2 * n + 1] if box_part[2 * n + 1] == box_part[2 * n + 2] else -1
 
 
-@ordered_inner
-def gap_squared(low, high, n, m, d, limit):
-    """Squared lower bound of the distance between box n and box m; above the limit it may be too low."""
-    worst = np.float32(0.0)
-    for end in range(0, 2 * d, d):
-        total = np.float32(0.0)
-        for k in range(end, end + d):
-            g = max(np.float32(0.0), max(low[n, k] - high[m, k], low[m, k] - high[n, k]))
-            total += g * g
-        worst = max(worst, total)
-    if worst >= limit:
-        return worst
-    widest = np.float32(0.0)
-    for k in range(2 * d, low.shape[1]):
-        widest = max(widest, max(low[n, k] - high[m, k], low[m, k] - high[n, k]))
-    return max(worst, widest * widest)
-
-
 @inner
 def gaps_squared(features, a, lanes, leaf, d):
     """``gap_squared`` of one track and the tracks of a leaf box, one in every lane."""
@@ -152,7 +135,7 @@ def close_pairs(features, lanes, part, bounds, low, high, box_part, d, done, lim
     while top > 0:
         n, m = stack[top - 1]
         skip = box_part[n] >= 0 and box_part[n] == box_part[m]
-        if skip or (n != m and gap_squared(low, high, n, m, d, limit) >= limit):
+        if skip or (n != m and gap_squared(low, high, n, low, high, m, d, limit) >= limit):
             top -= 1
         elif n >= inner and m >= inner:
             start, stop = bounds[m - inner], bounds[m - inner + 1]

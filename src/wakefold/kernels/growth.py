@@ -77,8 +77,8 @@ def edges_to(asking, points, offsets, features, entries, others, other_offsets, 
             if gap >= limit_of(way, scale) and gap >= limit_by(way, entry, first[n], last[n], maxima, scale):
                 continue
             if n < inner:
-                left = gap_squared(features, x, low, high, 2 * n + 1, d, np.inf)
-                right = gap_squared(features, x, low, high, 2 * n + 2, d, np.inf)
+                left = gap_squared(features, features, x, low, high, 2 * n + 1, d, np.inf)
+                right = gap_squared(features, features, x, low, high, 2 * n + 2, d, np.inf)
                 nearer = 1 if left <= right else 0  # of the two, on top
                 stack[top + 1 - nearer], gaps[top + 1 - nearer] = 2 * n + 2, right
                 stack[top + nearer], gaps[top + nearer] = 2 * n + 1, left

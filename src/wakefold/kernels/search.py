@@ -8,20 +8,23 @@ from wakefold.kernels.compile import kernel, ordered_inner
 
 
 @ordered_inner
-def gap_squared(queries, q, low, high, n, d, limit):
-    """Squared lower bound of the distance of query q to box n; from the limit on it may be too low."""
+def gap_squared(low, high, n, others_low, others_high, m, d, limit):
+    """Squared lower bound of the distance between box n and box m of others; from the limit on it may be too low.
+
+    A track is a box whose corners are both its features.
+    """
     worst = np.float32(0.0)
     for end in range(0, 2 * d, d):
         total = np.float32(0.0)
         for k in range(end, end + d):
-            g = max(np.float32(0.0), max(low[n, k] - queries[q, k], queries[q, k] - high[n, k]))
+            g = max(np.float32(0.0), max(low[n, k] - others_high[m, k], others_low[m, k] - high[n, k]))
             total += g * g
         worst = max(worst, total)
     if worst >= limit:
         return worst
     widest = np.float32(0.0)
     for k in range(2 * d, low.shape[1]):
-        widest = max(widest, max(low[n, k] - queries[q, k], queries[q, k] - high[n, k]))
+        widest = max(widest, max(low[n, k] - others_high[m, k], others_low[m, k] - high[n, k]))
     return max(worst, widest * widest)
 
 
@@ -45,14 +48,14 @@ def near(queries, q, features, bounds, low, high, d, limit, rows, squares):
     while top > 0:
         top -= 1
         n = stack[top]
-        if gap_squared(queries, q, low, high, n, d, limit) >= limit:
+        if gap_squared(queries, queries, q, low, high, n, d, limit) >= limit:
             continue
         if n < inner:
             stack[top], stack[top + 1] = 2 * n + 1, 2 * n + 2
             top += 2
             continue
         for x in range(bounds[n - inner], bounds[n - inner + 1]):
-            square = gap_squared(queries, q, features, features, x, d, limit)
+            square = gap_squared(queries, queries, q, features, features, x, d, limit)
             if square < limit:
                 rows[count], squares[count] = x, square
                 count += 1
