@@ -331,7 +331,8 @@ def relation_by_enumeration(fixes, dt, sd, q, speed, k, noise, prior, on, off):
             gain = cov @ h.T @ np.linalg.inv(s)
             mean, cov = mean + gain @ away, cov - gain @ h @ cov
             change = off if before else on
-            log += math.log(change if before != after else 1 - change)
+            chance = change if before != after else 1 - change
+            log += math.log(chance) if chance > 0 else -math.inf
         odds[history[-1]].append(log)
     logs = {r: np.logaddexp.reduce(odds[r]) for r in odds}
     total = np.logaddexp(logs[False], logs[True])

@@ -73,7 +73,7 @@ def test_sampled_objects_come_near_the_kalman_filter(engine):
 @pytest.mark.parametrize("together", [True, False])
 @pytest.mark.parametrize(
     ("engine", "particles", "within"),
-    [("bootstrap", 50_000, 0.04), ("adapted", 20_000, 0.04), ("rbk", 4_000, 0.02), ("collapsed", 1, 0.1)],
+    [("bootstrap", 50_000, 0.04), ("adapted", 20_000, 0.04), ("rbk", 4_000, 0.02), ("collapsed", 1, 0.02)],
 )
 def test_the_relation_of_a_pair_is_that_of_enumeration(engine, particles, within, together):
     """Switches that do not depend on the objects; 256 histories. Sampling errors have sd .01 (rbk .005) or less."""
@@ -86,6 +86,65 @@ def test_the_relation_of_a_pair_is_that_of_enumeration(engine, particles, within
     assert scene.probability("together", 0, 1) == pytest.approx(exact, abs=within)
     if engine == "rbk":
         assert scene.log_evidence == pytest.approx(log, abs=0.1)
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_collapsed_is_as_near_to_enumeration_as_many_particles(together):
+    """Mean and largest error over many pairs; with one Gaussian in each mode (IMM) those who part are .09 too sure."""
+    on, off = (rate / 0.5 * -math.expm1(-0.5 * 0.4) for rate in (0.3, 0.2))
+    pairs = [walkers(seed, steps=8, together=together) for seed in range(5)]
+    exact = [naive.relation_by_enumeration(z, 0.4, 0.1, 0.35, 0.5, 0.5, 0.1, 0.3, on, off)[0] for z in pairs]
+    errors = {}
+    for histories in (1, 4, 16):
+        f = wf.RelationalFilter(pair_model(prior=0.3), gate=100.0, histories=histories)
+        scenes = [follow(f, z, detect_prob=1.0) for z in pairs]
+        assert all((s.pairs[0].counts <= histories).all() for s in scenes)
+        errors[histories] = np.array([s.probability("together", 0, 1) for s in scenes]) - exact
+    for histories in (4, 16):
+        assert np.abs(errors[histories]).mean() < 0.004
+        assert np.abs(errors[histories]).max() < 0.02
+    assert np.abs(errors[1]).mean() > 2 * np.abs(errors[4]).mean()
+
+
+@pytest.mark.parametrize("together", [True, False])
+def test_the_predicate_is_asked_of_each_history(together):
+    """Coarse detections, and a relation that comes while the predicate holds: as with sampled relations."""
+    model = pair_model(prior=0.3, on_when=near(2.0) & same_velocity(0.5))
+    fixes = walkers(seed=3, steps=10, sd=0.3, together=together)
+    sampled = follow(wf.RelationalFilter(model, "rbk", particles=2_000), fixes, sd=0.3, detect_prob=1.0)
+    scene = follow(wf.RelationalFilter(model), fixes, sd=0.3, detect_prob=1.0)
+    assert scene.probability("together", 0, 1) == pytest.approx(sampled.probability("together", 0, 1), abs=0.03)
+
+
+def test_the_gaussians_of_a_pair_tell_its_probability():
+    """Their probabilities sum to one and those related to p; pairs far apart have a single one."""
+    f = wf.RelationalFilter(pair_model(on_when=near(2.0)), gate=20.0)
+    fixes = np.concatenate([walkers(steps=12), walkers(seed=1, steps=12) + np.array([0.0, 9.0])], axis=1)
+    pairs = follow(f, fixes, ids=[0, 1, 2, 3]).pairs[0]
+    ends = np.cumsum(pairs.counts.sum(axis=1))
+    assert ends[-1] == len(pairs.states)
+    for k, (p, (off, on)) in enumerate(zip(pairs.p, pairs.counts, strict=True)):
+        rows = pairs.states[ends[k] - off - on : ends[k]]
+        assert rows[:, 7].sum() == pytest.approx(1.0)
+        assert rows[off:, 7].sum() == pytest.approx(p, abs=1e-8)
+        assert (rows[:, 4] * rows[:, 6] > rows[:, 5] ** 2).all()
+    far = (pairs.first < 2) & (pairs.second >= 2)
+    assert far.sum() == 4
+    assert (pairs.counts[far].sum(axis=1) == 1).all()
+    assert (pairs.counts[~far] > 0).all()
+
+
+def test_without_switches_the_probability_is_that_of_two_kalman_filters():
+    """Nothing is merged and no mode is let go, however improbable."""
+    still = wf.Relation(
+        "still", ("person", "person"), rate_on=0.0, rate_off=0.0, prior=1e-6, couples=pair_model().relations[0].couples
+    )
+    model = wf.RelationalModel(pair_model().objects, [still])
+    fixes = walkers(steps=7, together=False)
+    exact, _ = naive.relation_by_enumeration(fixes, 0.4, 0.1, 0.35, 0.5, 0.5, 0.1, 1e-6, 0.0, 0.0)
+    scene = follow(wf.RelationalFilter(model, gate=100.0), fixes, detect_prob=1.0)
+    assert exact < 1e-5  # the least probability of a mode that could come back
+    assert scene.probability("still", 0, 1) == pytest.approx(exact, rel=1e-3)  # its motion is that of small steps
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -167,6 +226,7 @@ def test_what_does_not_fit_is_refused():
         (lambda: scene.relations("married"), "married"),
         (lambda: wf.RelationalFilter(pair_model(), "fast"), "engine"),
         (lambda: wf.RelationalFilter(pair_model(), gate=0.0), "gate"),
+        (lambda: wf.RelationalFilter(pair_model(), histories=17), "histories"),
         (lambda: wf.Relation("r", ("a", "b"), rate_on=-1.0), "rate_on"),
         (lambda: wf.Relation("r", ("a", "a"), couples=follow_velocity(1, 1), symmetric=True), "symmetric"),
         (lambda: wf.RelationalModel({"a": wf.ConstantVelocity(1)}, [wf.Relation("r", ("a", "b"))]), "'b'"),

@@ -1,7 +1,7 @@
 """The engine "collapsed": objects by Kalman filters, the relation of each pair within the gate summed out.
 
 A relation of a pair is a switching linear system of two modes (related or not) over the difference of the two objects,
-kept as interacting multiple models; its cost is linear in the pairs. Several relations of one pair are each held
+kept as a few Gaussians in each mode; its cost is linear in the pairs. Several relations of one pair are each held
 against "unrelated". Hidden objects are told from those they are related to.
 """
 
@@ -29,6 +29,7 @@ from wakefold.gating import (
     switches,
 )
 from wakefold.kernels import pairs as kernel
+from wakefold.kernels.histories import WIDTH
 from wakefold.relations import Relation
 from wakefold.scene import Pairs, Scene
 
@@ -110,17 +111,18 @@ def _step_pairs(
     seen: NDArray[np.bool_],
     dt: float,
 ) -> Pairs:
-    p, mean, cov = np.array(pairs.p), np.array(pairs.mean), np.array(pairs.cov)
+    p, counts = np.array(pairs.p), np.array(pairs.counts)
+    states = np.empty((len(pairs.states) + 2 * len(p), WIDTH))  # each mode may gain one
     before, on, off = np.empty_like(p), np.empty_like(p), np.empty_like(p)
     known = objects.unseen <= relation.seen_within
-    kernel.step(
-        pairs.first, pairs.second, p, mean, cov, z, variance, seen, known, objects.mean, objects.cov,
-        relative_motions(s.model, relation, dt), relation.couples is not None,
-        switches(relation, dt), dt, *program(relation), *_evidence(relation), before, on, off,
+    many = kernel.step(
+        pairs.first, pairs.second, p, counts, pairs.states, z, variance, seen, known, objects.mean, objects.cov,
+        relative_motions(s.model, relation, dt), switches(relation, dt), dt, *program(relation), *_evidence(relation),
+        s.histories, before, on, off, states,
     )  # fmt: skip
     about = s.model.activities_of(relation)
     stages = tuple(advance(x, before, on, off, dt, a) for x, a in zip(pairs.stages, about, strict=True))
-    return Pairs(pairs.first, pairs.second, p, mean, cov, pairs.bits, stages)
+    return Pairs(pairs.first, pairs.second, p, counts, states[:many], pairs.bits, stages)
 
 
 def _evidence(relation: Relation) -> tuple[Floats, Floats, Floats, Floats]:
@@ -140,7 +142,7 @@ def _with_company(s: Settings, pairs: list[Pairs], objects: Objects) -> tuple[Fl
     weight, first, second = np.zeros((n, 2)), np.zeros((n, 2, d)), np.zeros((n, 2, 2))
     for relation, p in zip(s.model.relations, pairs, strict=True):
         if relation.couples is not None:
-            args = (p.first, p.second, p.p, p.mean, p.cov, unseen, objects.mean, objects.cov)
+            args = (p.first, p.second, p.p, p.counts, p.states, unseen, objects.mean, objects.cov)
             kernel.hidden(*args, weight, first, second)
     told = np.flatnonzero(weight[:, 0] > 0.0)
     if not len(told):

@@ -12,8 +12,8 @@ from scipy.spatial import KDTree
 from wakefold.activities import begin
 from wakefold.couplings import row
 from wakefold.detections import Detections
+from wakefold.kernels import histories, turnover
 from wakefold.kernels import pairs as kernel
-from wakefold.kernels import turnover
 from wakefold.kernels.predicates import truth
 from wakefold.relations import ConstantVelocity, Relation, RelationalModel
 from wakefold.scene import Pairs, Scene
@@ -35,6 +35,7 @@ class Settings(NamedTuple):
     forget: float
     cluster: int
     hypotheses: int
+    histories: int
 
 
 class Objects(NamedTuple):
@@ -228,9 +229,13 @@ def refresh(
 
     bits = np.empty((len(pairs.bits), len(source)), dtype=bool)
     bits[:, ~is_new], bits[:, is_new] = pairs.bits[:, source[~is_new]], new.bits
-    mean, cov = merge(pairs.mean, new.mean), merge(pairs.cov, new.cov)
+    counts, states = (
+        np.empty((len(source), 2), dtype=np.int64),
+        np.empty((len(pairs.states) + len(new.states), histories.WIDTH)),
+    )
+    many = histories.gather(pairs.states, pairs.counts, new.states, new.counts, source, states, counts)
     stages = tuple(merge(x, y) for x, y in zip(pairs.stages, new.stages, strict=True))
-    return Pairs(first, second, merge(pairs.p, new.p), mean, cov, bits, stages), is_new
+    return Pairs(first, second, merge(pairs.p, new.p), counts, states[:many], bits, stages), is_new
 
 
 def begun(first: Ints, second: Ints, relation: Relation, s: Settings, objects: Objects, particles: int) -> Pairs:
@@ -249,16 +254,20 @@ def begun(first: Ints, second: Ints, relation: Relation, s: Settings, objects: O
     stages = tuple(begin(p) for _ in about)
     bits = np.zeros((particles, count), dtype=bool)
     if s.engine != "collapsed":
-        return Pairs(first, second, p, np.zeros((count, 2, 2, d)), np.zeros((count, 2, 3)), bits, stages)
-    modes, spreads = np.stack([mean, mean], axis=1), np.stack([cov, cov], axis=1)
+        none = np.zeros((count, 2), dtype=np.int64), np.zeros((0, histories.WIDTH))
+        return Pairs(first, second, p, *none, bits, stages)
+    states = np.empty((count, 2, histories.WIDTH))
+    states[:, :, :4], states[:, :, 4:7] = mean.reshape(count, 1, 4), cov[:, None]
+    states[:, 0, 7], states[:, 1, 7] = 1.0 - p, p
     how = relation.couples
     if how is not None and how.k > 0.0:  # the law of the difference in the long run, as if measured: 0 m/s with this sd
-        total = spreads[:, 1, 2] + how.noise**2 / (2.0 * how.k)
-        pull = spreads[:, 1, 1:3] / total[:, None]  # of position and velocity
-        modes[:, 1] -= pull[:, :, None] * mean[:, 1:2]
-        pv, vv = spreads[:, 1, 1].copy(), spreads[:, 1, 2].copy()
-        spreads[:, 1] -= np.column_stack([pull[:, 0] * pv, pull[:, 0] * vv, pull[:, 1] * vv])
-    return Pairs(first, second, p, modes, spreads, bits, stages)
+        total = cov[:, 2] + how.noise**2 / (2.0 * how.k)
+        pull = cov[:, 1:3] / total[:, None]  # of position and velocity
+        states[:, 1, :4] -= (pull[:, :, None] * mean[:, 1:2]).reshape(count, 4)
+        states[:, 1, 4:7] -= np.column_stack([pull[:, 0] * cov[:, 1], pull[:, 0] * cov[:, 2], pull[:, 1] * cov[:, 2]])
+    return Pairs(
+        first, second, p, np.ones((count, 2), dtype=np.int64), states.reshape(-1, histories.WIDTH), bits, stages
+    )
 
 
 def holds(relation: Relation, first: Ints, second: Ints, mean: Floats, cov: Floats, objects: Objects) -> Floats:

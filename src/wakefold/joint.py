@@ -302,7 +302,7 @@ def _switch(
     after = np.clip((weights * np.where(p.bits, 1.0 - off, on)).sum(axis=0), 0.0, 1.0)
     about = s.model.activities_of(relation)
     stages = tuple(advance(x, before, mean_on, mean_off, dt, a) for x, a in zip(p.stages, about, strict=True))
-    return Pairs(p.first, p.second, after, p.mean, p.cov, bits, stages)
+    return Pairs(p.first, p.second, after, p.counts, p.states, bits, stages)
 
 
 def _turnover(

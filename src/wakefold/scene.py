@@ -79,7 +79,9 @@ class Pairs(NamedTuple):
     Attributes:
         first, second: ``(P,)`` objects, as places in ``Scene``.
         p: ``(P,)`` probability that the relation holds.
-        mean, cov: ``(P, 2, 2, d)``, ``(P, 2, 3)`` relative state if unrelated and if related (engine "collapsed").
+        counts, states: ``(P, 2)``, ``(H, 8)`` how many Gaussians over the relative state a pair has, unrelated and
+            related, and these, pair after pair (engine "collapsed"): relative position and velocity, their covariance
+            (position, cross, velocity) and the probability of each.
         bits: ``(M, P)`` the relation in each particle (the other engines).
         stages: for each activity about this relation ``(P, S)``, the belief over its stages.
     """
@@ -87,16 +89,16 @@ class Pairs(NamedTuple):
     first: Ints
     second: Ints
     p: Floats
-    mean: Floats
-    cov: Floats
+    counts: Ints
+    states: Floats
     bits: NDArray[np.bool_]
     stages: tuple[Floats, ...] = ()
 
     def keep(self, rows: NDArray) -> Pairs:
-        """The pairs at ``rows`` (places or a mask)."""
+        """The pairs at ``rows`` (places or a mask); of an engine with particles."""
         stages = tuple(s[rows] for s in self.stages)
         bits = np.ascontiguousarray(self.bits[:, rows])
-        return Pairs(self.first[rows], self.second[rows], self.p[rows], self.mean[rows], self.cov[rows], bits, stages)
+        return Pairs(self.first[rows], self.second[rows], self.p[rows], self.counts[rows], self.states, bits, stages)
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,7 +312,7 @@ class Scene:
 
 
 _ARRAYS = ("ids", "kinds", "serial", "mean", "cov", "own_mean", "own_cov", "existence", "unseen", "key")
-_PAIRS = ("first", "second", "p", "mean", "cov", "bits")
+_PAIRS = ("first", "second", "p", "counts", "states", "bits")
 _PARTICLES = ("mean", "cov", "log_weights", "block")
 _NUMBERS = ("step", "serials", "time", "log_evidence", "recoveries")
 

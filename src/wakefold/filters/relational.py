@@ -17,6 +17,7 @@ from wakefold import collapsed, joint
 from wakefold.activities import begin
 from wakefold.detections import Detections
 from wakefold.gating import Settings
+from wakefold.kernels.histories import MOST, WIDTH
 from wakefold.particles import agent_key, as_seconds
 from wakefold.predicates import number
 from wakefold.relations import RelationalModel, Sampler
@@ -47,6 +48,7 @@ class RelationalFilter:
         forget: seconds after which an object that is not seen is let go.
         cluster: most objects of a block.
         hypotheses: how many joint assignments are weighed for detections without ids.
+        histories: most Gaussians that "collapsed" keeps of a pair unrelated, and of a pair related; up to 16.
         seed: of the random stream.
 
     Raises:
@@ -63,15 +65,23 @@ class RelationalFilter:
         forget: float = 60.0,
         cluster: int = 8,
         hypotheses: int = 10,
+        histories: int = 4,
         seed: int = 0,
     ) -> None:
         if not isinstance(model, RelationalModel):
             raise TypeError(f"RelationalFilter takes a RelationalModel, got {model!r}")
         if engine not in ENGINES:
             raise ValueError(f"engine must be one of {', '.join(ENGINES)}, got {engine!r}")
-        for name, count in (("particles", particles), ("cluster", cluster), ("hypotheses", hypotheses)):
+        for name, count in (
+            ("particles", particles),
+            ("cluster", cluster),
+            ("hypotheses", hypotheses),
+            ("histories", histories),
+        ):
             if isinstance(count, bool) or not isinstance(count, (int, np.integer)) or count < 1:
                 raise ValueError(f"{name} must be a whole number of at least 1, got {count}")
+        if histories > MOST:
+            raise ValueError(f"histories must be {MOST} at most, got {histories}")
         if not 0.0 < number("gate (metres)", gate) < math.inf:
             raise ValueError(f"gate must be a positive number of metres, got {gate}")
         if not number("forget (seconds)", forget) > 0.0:
@@ -84,7 +94,7 @@ class RelationalFilter:
             raise ValueError(f"seed must be a whole number of at least 0, got {seed!r}")
         self.model, self.seed = model, int(seed)
         self.settings = Settings(
-            model, engine, int(particles), float(gate), float(forget), int(cluster), int(hypotheses)
+            model, engine, int(particles), float(gate), float(forget), int(cluster), int(hypotheses), int(histories)
         )
 
     def start(self, time: float | str | datetime = 0.0, *, agent: str | None = None) -> Scene:
@@ -96,7 +106,9 @@ class RelationalFilter:
         """
         count = 0 if self.settings.engine == "collapsed" else self.settings.particles
         none, whole = np.zeros(0), np.zeros(0, dtype=np.int64)
-        unpaired = Pairs(whole, whole, none, np.zeros((0, 2, 2, 2)), np.zeros((0, 2, 3)), np.zeros((count, 0), bool))
+        unpaired = Pairs(
+            whole, whole, none, np.zeros((0, 2), np.int64), np.zeros((0, WIDTH)), np.zeros((count, 0), bool)
+        )
         pairs = tuple(
             unpaired._replace(stages=tuple(begin(none) for _ in self.model.activities_of(r)))
             for r in self.model.relations

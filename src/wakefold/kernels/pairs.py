@@ -9,10 +9,11 @@ import math
 import numpy as np
 
 from wakefold.kernels.compile import inner, kernel
+from wakefold.kernels.histories import MOST, WIDTH, absorb, copy, reduce
 from wakefold.kernels.predicates import AT_ONCE, FEATURES, evaluate
 
 FLOOR = 1e-9  # a relation is never surer than this
-SURE = 1e-6  # a mode less probable is not asked whether the predicate holds
+SURE = 1e-5  # a mode less probable is let go, if more than that can come back in a step
 
 
 @inner
@@ -112,41 +113,29 @@ def log_ratios(u, w, va, vb, distances, differences, speeds, table, out):
 
 
 @inner
-def _exchange(x, c, to_off, to_on):
-    """Moments of both modes of a pair after a switch, in place.
+def _move_and_see(
+    many, pair, mode, row, first, second, states, z, variance, seen, motions, f, cross, misfit, precision
+):
+    """Objects move as their relation of before says, and are seen, in ``many`` Gaussians of pairs.
 
     Args:
-        x, c: (8,), (6,) state and covariance of mode 0, then of mode 1.
-        to_off: share of the new mode 0 that was in mode 1 before; to_on: the other way round.
+        pair, mode, row: of each Gaussian, the last in ``states``.
+        f, cross: out: as in ``evaluate``, rows 0 to 5; covariance of position and velocity.
+        misfit, precision: out: half the squared innovation over its variance, and one over that variance.
     """
-    px, py, vx, vy = x[4] - x[0], x[5] - x[1], x[6] - x[2], x[7] - x[3]
-    pp, pv, vv = 0.5 * (px * px + py * py), 0.5 * (px * vx + py * vy), 0.5 * (vx * vx + vy * vy)
-    s, t = to_off * (1.0 - to_off), to_on * (1.0 - to_on)
-    for j, spread in ((0, pp), (1, pv), (2, vv)):
-        off, on = c[j], c[3 + j]
-        c[j] = off + to_off * (on - off) + s * spread
-        c[3 + j] = on + to_on * (off - on) + t * spread
-    for j, away in ((0, px), (1, py), (2, vx), (3, vy)):
-        x[j] += to_off * away
-        x[4 + j] -= to_on * away
-
-
-@inner
-def _move_and_see(mode, lo, hi, first, second, x, c, z, variance, seen, motions, misfit, precision):
-    """Objects move as they are in one mode, and are seen, for the pairs ``lo:hi``, in place.
-
-    Args:
-        misfit, precision: (hi - lo,) out: squared innovation over its variance, and one over that variance.
-    """
-    f00, f01, f10, f11 = motions[mode, 0], motions[mode, 1], motions[mode, 2], motions[mode, 3]
-    j, k = 4 * mode, 3 * mode
-    for i in range(lo, hi):
-        ux, uy, wx, wy = x[i, j], x[i, j + 1], x[i, j + 2], x[i, j + 3]
+    for h in range(many):
+        m, k = motions[mode[h]], row[h]
+        ux, uy, wx, wy = states[k, 0], states[k, 1], states[k, 2], states[k, 3]
+        pp, pv, vv = states[k, 4], states[k, 5], states[k, 6]
+        f00, f01, f10, f11 = m[0], m[1], m[2], m[3]
         ux, wx = f00 * ux + f01 * wx, f10 * ux + f11 * wx
         uy, wy = f00 * uy + f01 * wy, f10 * uy + f11 * wy
-        _spread(c[i], k, motions[mode])
-        pp, pv, vv = c[i, k], c[i, k + 1], c[i, k + 2]
-        a, b = first[i], second[i]
+        pp, pv, vv = (
+            f00 * f00 * pp + 2.0 * f00 * f01 * pv + f01 * f01 * vv + m[4],
+            f00 * f10 * pp + (f00 * f11 + f01 * f10) * pv + f01 * f11 * vv + m[5],
+            f10 * f10 * pp + 2.0 * f10 * f11 * pv + f11 * f11 * vv + m[6],
+        )
+        a, b = first[pair[h]], second[pair[h]]
         if seen[a] and seen[b]:
             ex, ey = z[b, 0] - z[a, 0] - ux, z[b, 1] - z[a, 1] - uy
             s = 1.0 / (pp + (variance[a] + variance[b]))
@@ -155,145 +144,231 @@ def _move_and_see(mode, lo, hi, first, second, x, c, z, variance, seen, motions,
             vv -= g1 * pv
             pp *= 1.0 - g0
             pv *= 1.0 - g0
-            misfit[i - lo], precision[i - lo] = 0.5 * s * (ex * ex + ey * ey), s
-        x[i, j], x[i, j + 1], x[i, j + 2], x[i, j + 3] = ux, uy, wx, wy
-        c[i, k], c[i, k + 1], c[i, k + 2] = pp, pv, vv
+            misfit[h], precision[h] = 0.5 * s * (ex * ex + ey * ey), s
+        f[0, h], f[1, h], f[2, h], f[3, h], f[4, h], f[5, h], cross[h] = ux, uy, wx, wy, pp, vv, pv
 
 
 @inner
-def _ask(
-    mode, lo, hi, first, second, x, c, known, objects, spread, before, coupled, ops, numbers, rows, f, until, stack,
-    holds,
-):  # fmt: skip
-    """Whether the predicate holds of the pairs ``lo:hi`` that are in ``mode``, into ``holds`` (AT_ONCE,).
+def _weigh(lo, hi, misfit, precision, weight):
+    """Probabilities of the Gaussians ``lo:hi`` of a pair given what was seen, in place."""
+    best = lo
+    for h in range(lo + 1, hi):
+        if misfit[h] < misfit[best]:
+            best = h
+    total = 0.0
+    for h in range(lo, hi):
+        weight[h] *= precision[h] if h == best else precision[h] * math.exp(misfit[best] - misfit[h])
+        total += weight[h]
+    total = 1.0 / total
+    for h in range(lo, hi):
+        weight[h] = max(weight[h] * total, FLOOR)
 
-    Pairs that are not ``known``, and those all but surely in the other mode, are left out.
+
+@inner
+def _row(h, f, cross, weight, row):
+    """The Gaussian at ``h`` with a probability, as a row."""
+    row[0], row[1], row[2], row[3] = f[0, h], f[1, h], f[2, h], f[3, h]
+    row[4], row[5], row[6], row[7] = f[4, h], cross[h], f[5, h], weight
+
+
+@inner
+def _mode(stay, stays, come, comes, turn, f, cross, weight, limit, rows, at, one, inverse):
+    """Gaussians of a mode after a switch, into ``rows`` from ``at`` on: those that stayed and, as one, those that came.
+
+    Args:
+        stay, stays: the Gaussians ``stay:stays`` were of this mode; ``come:comes`` of the other.
+        turn: chance at which each of them switches.
+
+    Returns:
+        How many there are, and their probability.
     """
-    many, j, k = 0, 4 * mode, 3 * mode
-    for i in range(lo, hi):
-        a, b = first[i], second[i]
-        p = before[i]
-        if known[a] and known[b] and (p > SURE if mode == 1 else p < 1.0 - SURE or not coupled):
-            rows[many] = i - lo
-            f[0, many], f[1, many], f[2, many], f[3, many] = x[i, j], x[i, j + 1], x[i, j + 2], x[i, j + 3]
-            f[4, many], f[5, many] = c[i, k], c[i, k + 2]
-            f[6, many], f[7, many] = objects[a, 1, 0], objects[a, 1, 1]
-            f[8, many], f[9, many] = objects[b, 1, 0], objects[b, 1, 1]
-            f[10, many], f[11, many], f[12, many] = spread[a, 2], spread[b, 2], 1.0
+    many, total = 0, 0.0
+    for h in range(stay, stays):
+        share = weight[h] * (1.0 - turn[h])
+        if share > 0.0:
+            total += share
+            _row(h, f, cross, share, rows[at + many])
             many += 1
-    evaluate(ops, numbers, many, f, until, stack)
-    for m in range(many):
-        holds[rows[m]] = stack[0, m]
+    here = many
+    for h in range(come, comes):
+        share = weight[h] * turn[h]
+        if share > FLOOR * total:
+            if many == here:
+                _row(h, f, cross, share, rows[at + here])
+                many += 1
+            else:
+                _row(h, f, cross, share, one)
+                absorb(rows[at + here], one)
+    if many > here:
+        total += rows[at + here, 7]
+    return reduce(rows, at, many, limit, total, inverse), total
+
+
+@inner
+def _chance(way, yes, known, chances):
+    """Of a switch on (``way`` 0) or off (1) where the predicate holds with probability ``yes``; see ``step``."""
+    return yes * chances[0, way] + (1.0 - yes) * chances[1, way] if known else chances[2, way]
 
 
 @kernel
 def step(
-    first, second, p, mean, cov, z, variance, seen, known, objects, spread,
-    motions, coupled, chances, dt, ops, numbers, distances, differences, speeds, table,
-    before, on, off,
+    first, second, p, counts, states, z, variance, seen, known, objects, spread,
+    motions, chances, dt, ops, numbers, distances, differences, speeds, table, limit,
+    before, on, off, out,
 ):  # fmt: skip
     """Beliefs about P pairs after ``dt`` seconds and the detections of both objects, in place.
 
     A pair is a switching linear system of two modes, unrelated (0) and related (1), over its relative state (second
-    minus first), filtered as interacting multiple models (Blom and Bar-Shalom 1988) in the order of Eq. 1: objects move
-    as they were related before, are seen, and then the relation changes as they are now. Pairs go through this
-    ``AT_ONCE`` at a time: short loops let the processor work on several pairs, and what they read stays near.
+    minus first), in the order of Eq. 1: objects move as they were related before, are seen, and then the relation
+    changes as they are now. Each mode is a few Gaussians, one for each sort of history that led there: those that came
+    from the other mode in this step are one more, and the most alike are merged. Pairs go through this together, as
+    many as have ``AT_ONCE`` Gaussians, so that the predicate is interpreted once for all of them.
 
     Args:
         first, second: (P,) objects.
         p: (P,) probability of the relation.
-        mean, cov: (P, 2, 2, 2), (P, 2, 3) relative state in both modes.
+        counts, states: (P, 2), (H, WIDTH) how many Gaussians each pair has unrelated and related, and these.
         z, variance, seen: (n, 2), (n,), (n,) detection of each object, its variance, whether there is one.
         known: (n,) whether an object was seen lately.
         objects, spread: (n, 2, 2), (n, 3) the objects' own filters, after the detections.
         motions: (2, 7) of the relative state in both modes.
-        coupled: whether the motions differ.
         chances: (3, 2) of switching on and off within ``dt`` where the predicate holds, where not, and where unknown.
         ops, numbers: of the predicate; no operations: it always holds.
         distances, differences, speeds, table: of its evidence; an empty table: none.
+        limit: Gaussians a pair may have in each mode.
         before, on, off: (P,) out: probability before the switch, and of switching on and off.
+        out: (H + 2 P, WIDTH) out: the Gaussians after the step.
+
+    Returns:
+        How many rows of ``out`` there are.
     """
-    rows, until = np.empty(AT_ONCE, dtype=np.int64), np.empty(AT_ONCE, dtype=np.int64)
-    f, stack, holds = np.empty((FEATURES, AT_ONCE)), np.empty((max(len(ops), 1), AT_ONCE)), np.ones((2, AT_ONCE))
-    x, c = mean.reshape(-1, 8), cov.reshape(-1, 6)
-    misfit, precision = np.zeros((2, AT_ONCE)), np.ones((2, AT_ONCE))
+    pair, mode = np.empty(AT_ONCE, dtype=np.int64), np.empty(AT_ONCE, dtype=np.int64)
+    row, until = np.empty(AT_ONCE, dtype=np.int64), np.empty(AT_ONCE, dtype=np.int64)
+    f, stack = np.empty((FEATURES, AT_ONCE)), np.empty((max(len(ops), 1), AT_ONCE))
+    cross, weight, turn = np.empty(AT_ONCE), np.empty(AT_ONCE), np.empty(AT_ONCE)
+    misfit, precision = np.zeros(AT_ONCE), np.ones(AT_ONCE)
+    one, inverse = np.empty(WIDTH), np.empty(MOST + 1)
+    returns = chances[0, 0] > SURE, min(chances[0, 1], chances[1, 1]) > SURE
     looks = table.size > 0
-    for lo in range(0, len(first), AT_ONCE):
-        hi = min(lo + AT_ONCE, len(first))
-        for mode in range(2 if coupled else 1):
-            _move_and_see(mode, lo, hi, first, second, x, c, z, variance, seen, motions, misfit[mode], precision[mode])
+    lo = at = to = 0
+    while lo < len(first):
+        hi, many = lo, 0
+        while hi < len(first) and many + counts[hi, 0] + counts[hi, 1] <= AT_ONCE:
+            for h in range(counts[hi, 0] + counts[hi, 1]):
+                pair[many], row[many], mode[many] = hi, at, 1 if h >= counts[hi, 0] else 0
+                weight[many] = states[at, 7]
+                many += 1
+                at += 1
+            hi += 1
+        _move_and_see(
+            many, pair, mode, row, first, second, states, z, variance, seen, motions, f, cross, misfit, precision
+        )
+        for h in range(many):
+            a, b = first[pair[h]], second[pair[h]]
+            f[6, h], f[7, h], f[8, h], f[9, h] = objects[a, 1, 0], objects[a, 1, 1], objects[b, 1, 0], objects[b, 1, 1]
+            f[10, h], f[11, h], f[12, h] = spread[a, 2], spread[b, 2], 1.0
+            if looks and mode[h] == 1 and seen[a] and seen[b]:
+                misfit[h] -= dt * _log_ratio(
+                    f[0, h], f[1, h], f[2, h], f[3, h], f[6, h], f[7, h], f[8, h], f[9, h],
+                    distances, differences, speeds, table,
+                )  # fmt: skip
+        if len(ops) > 0:
+            evaluate(ops, numbers, many, f, until, stack)
+        else:
+            stack[0, :many] = 1.0
+        start = 0
         for i in range(lo, hi):
             a, b = first[i], second[i]
-            before[i] = p[i]
-            if seen[a] and seen[b] and (coupled or looks):
-                log_odds, ratio = 0.0, 1.0
-                if coupled:
-                    log_odds = misfit[0, i - lo] - misfit[1, i - lo]
-                    ratio = precision[1, i - lo] / precision[0, i - lo]
-                if looks:
-                    log_odds += dt * _log_ratio(
-                        x[i, 0], x[i, 1], x[i, 2], x[i, 3], objects[a, 1, 0], objects[a, 1, 1], objects[b, 1, 0],
-                        objects[b, 1, 1], distances, differences, speeds, table,
-                    )  # fmt: skip
-                ratio *= math.exp(min(max(log_odds, -50.0), 50.0))
-                now = p[i] * ratio / (p[i] * ratio + 1.0 - p[i])
-                before[i] = min(max(now, FLOOR), 1.0 - FLOOR)
-        if len(ops) > 0:
-            for mode in range(2 if coupled else 1):
-                _ask(
-                    mode, lo, hi, first, second, x, c, known, objects, spread, before, coupled, ops, numbers, rows, f,
-                    until, stack, holds[mode],
-                )  # fmt: skip
-        for i in range(lo, hi):
-            prior, turn_on, turn_off = before[i], chances[2, 0], chances[2, 1]
-            if known[first[i]] and known[second[i]]:
-                # a mode all but excluded switches as the other does
-                yes = holds[1 if coupled and prior >= 1.0 - SURE else 0, i - lo]
-                turn_on = yes * chances[0, 0] + (1.0 - yes) * chances[1, 0]
-                yes = holds[1 if coupled and prior > SURE else 0, i - lo]
-                turn_off = yes * chances[0, 1] + (1.0 - yes) * chances[1, 1]
-            on[i], off[i] = turn_on, turn_off
-            after = prior * (1.0 - turn_off) + (1.0 - prior) * turn_on
-            after = min(max(after, FLOOR), 1.0 - FLOOR)
-            if coupled:
-                to_off, to_on = prior * turn_off / (1.0 - after), (1.0 - prior) * turn_on / after
-                if to_off > 1e-9 or to_on > 1e-9:
-                    _exchange(x[i], c[i], min(to_off, 1.0), min(to_on, 1.0))
-            p[i] = after
+            middle, end = start + counts[i, 0], start + counts[i, 0] + counts[i, 1]
+            if end > start + 1 and seen[a] and seen[b]:
+                _weigh(start, end, misfit, precision, weight)
+            sure = known[a] and known[b]
+            none = some = turned_on = turned_off = 0.0
+            for h in range(start, end):
+                turn[h] = _chance(mode[h], stack[0, h], sure, chances)
+                if h < middle:
+                    none += weight[h]
+                    turned_on += weight[h] * turn[h]
+                else:
+                    some += weight[h]
+                    turned_off += weight[h] * turn[h]
+            before[i] = min(max(some / (none + some), FLOOR), 1.0 - FLOOR)
+            # a mode without a Gaussian switches as the other would
+            on[i] = turned_on / none if none > 0.0 else _chance(0, stack[0, start], sure, chances)
+            off[i] = turned_off / some if some > 0.0 else _chance(1, stack[0, start], sure, chances)
+            if end == start + 1 and turned_on + turned_off < SURE:
+                _row(start, f, cross, 1.0, out[to])
+                p[i] = 1.0 - FLOOR if counts[i, 1] else FLOOR
+                to += 1
+            else:
+                off_many, none = _mode(start, middle, middle, end, turn, f, cross, weight, limit, out, to, one, inverse)
+                on_many, some = _mode(
+                    middle,
+                    end,
+                    start,
+                    middle,
+                    turn,
+                    f,
+                    cross,
+                    weight,
+                    limit,
+                    out,
+                    to + off_many,
+                    one,
+                    inverse,
+                )
+                if some < SURE and returns[0]:
+                    on_many, some = 0, 0.0
+                elif none < SURE and returns[1]:
+                    for k in range(on_many):
+                        copy(out[to + off_many + k], out[to + k])
+                    off_many, none = 0, 0.0
+                scale = 1.0 / (none + some)
+                for _ in range(off_many + on_many):
+                    out[to, 7] *= scale
+                    to += 1
+                counts[i, 0], counts[i, 1] = off_many, on_many
+                p[i] = min(max(some / (none + some), FLOOR), 1.0 - FLOOR)
+            start = end
+        lo = hi
+    return to
 
 
 @kernel
-def hidden(first, second, p, mean, cov, unseen, objects, spread, weight, out_mean, out_cov):
+def hidden(first, second, p, counts, states, unseen, objects, spread, weight, out_mean, out_cov):
     """Where related objects that are seen put a hidden one: weighted sums over its pairs, into the outputs.
 
     Args:
-        p, mean, cov: (P,), (P, 2, 2, d), (P, 2, 3) as in ``step``.
+        p, counts, states: (P,), (P, 2), (H, WIDTH) as in ``step``.
         unseen: (n,) whether an object is hidden.
-        objects, spread: (n, 2, d), (n, 3) the objects' own filters.
+        objects, spread: (n, 2, 2), (n, 3) the objects' own filters.
         weight: (n, 2) out: sum of the probabilities of relations to seen objects; log probability that none holds.
-        out_mean, out_cov: (n, 2, d), (n, 2, 2) out: sums of mean, and of second moments averaged over the axes.
+        out_mean, out_cov: (n, 2, 2), (n, 2, 2) out: sums of mean, and of second moments averaged over the axes.
     """
-    d = mean.shape[3]
+    at = 0
     for i in range(len(first)):
         a, b = first[i], second[i]
+        start, at = at + counts[i, 0], at + counts[i, 0] + counts[i, 1]
         if unseen[a] == unseen[b]:
             continue
         h, o, sign = (b, a, 1.0) if unseen[b] else (a, b, -1.0)
-        w = p[i]
-        weight[h, 0] += w
-        weight[h, 1] += math.log1p(-w)
-        pp = pv = vv = 0.0
-        for k in range(d):
-            x = objects[o, 0, k] + sign * mean[i, 1, 0, k]
-            v = objects[o, 1, k] + sign * mean[i, 1, 1, k]
-            out_mean[h, 0, k] += w * x
-            out_mean[h, 1, k] += w * v
-            # about the hidden object's own estimate, so that large coordinates cost no digits
-            x -= objects[h, 0, k]
-            v -= objects[h, 1, k]
-            pp += x * x
-            pv += x * v
-            vv += v * v
-        out_cov[h, 0, 0] += w * (pp / d + spread[o, 0] + cov[i, 1, 0])
-        out_cov[h, 0, 1] += w * (pv / d + spread[o, 1] + cov[i, 1, 1])
-        out_cov[h, 1, 1] += w * (vv / d + spread[o, 2] + cov[i, 1, 2])
+        if at > start:
+            weight[h, 1] += math.log1p(-p[i])
+        for j in range(start, at):
+            w = states[j, 7]
+            weight[h, 0] += w
+            pp = pv = vv = 0.0
+            for k in range(2):
+                x = objects[o, 0, k] + sign * states[j, k]
+                v = objects[o, 1, k] + sign * states[j, 2 + k]
+                out_mean[h, 0, k] += w * x
+                out_mean[h, 1, k] += w * v
+                # about the hidden object's own estimate, so that large coordinates cost no digits
+                x -= objects[h, 0, k]
+                v -= objects[h, 1, k]
+                pp += x * x
+                pv += x * v
+                vv += v * v
+            out_cov[h, 0, 0] += w * (0.5 * pp + spread[o, 0] + states[j, 4])
+            out_cov[h, 0, 1] += w * (0.5 * pv + spread[o, 1] + states[j, 5])
+            out_cov[h, 1, 1] += w * (0.5 * vv + spread[o, 2] + states[j, 6])
