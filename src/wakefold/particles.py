@@ -324,9 +324,5 @@ class ParticleFilter:
 def along(tracks: Tracks, chosen: Ints, share: Floats) -> Floats:
     """Positions ``(N, d)`` at a share of the duration of each of the chosen tracks (N,)."""
     out = np.empty((len(chosen), tracks.dim))
-    for track in np.unique(chosen):
-        rows, times = np.flatnonzero(chosen == track), tracks.times_of(int(track))
-        at = times[0] + share[rows] * (times[-1] - times[0])
-        for k, column in enumerate(tracks[int(track)].T):
-            out[rows, k] = np.interp(at, times, column)
+    kernel.along(tracks.points, tracks.times, tracks.offsets, chosen, share, out)
     return out

@@ -161,8 +161,10 @@ class _Sets:
         """Algorithm 3, lines 6-19: coarse evidence; the log of the mean likelihood, -inf when every weight is zero."""
         f, tree = self.filter, self.filter.model.filtration
         observed = kernel.alive_above(self.nodes, self.parent, self.start, tree.death, level)
-        alive = np.unique(observed[observed >= 0])
         log_g = np.zeros(len(self.nodes))
+        among = np.zeros(len(self.nodes), dtype=bool)
+        among[observed[observed >= 0]] = True
+        alive = np.flatnonzero(among)
         log_g[alive] = coarse_log_g(tree, item, level, self.nodes[alive], f.likelihood, f.model.dynamics.diagonal)
         state = (self.base_mass, self.mass, self.factors, observed, log_g, f.rule == "arxiv2016")
         return kernel.spread_coarse(logs, self.leaf_of, self.parent, self.start, *state)
