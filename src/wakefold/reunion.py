@@ -14,7 +14,7 @@ Ints = NDArray[np.int64]
 NOISE, OFFSET_NOISE = 0.15, 0.1  # metres: of a return, and of the offset of two
 SPREAD = 0.4  # sd of the log spacing of two who have changed sides
 WORST, BEST = -4.0, 30.0  # least and most that a tie says
-CHAINS, SWEEPS, COOLING, HOT = 4, 6000, 4000, 0.2  # of the exchanges; a sweep is one for each person
+CHAINS, SWEEPS, COOLING, HOT = 16, 3000, 2000, 0.2  # of the exchanges; a sweep is one for each person
 
 
 class Reunion(NamedTuple):
