@@ -36,7 +36,7 @@ STOREYS = [
     ["spanning"],
     ["search"],
     ["dendrogram", "distance", "features"],
-    ["company", "relations_fit"],
+    ["company", "relations_fit", "reunion"],
     ["walkers"],
     ["stops"],
     ["tracks", "shaping"],
