@@ -195,6 +195,10 @@ class Filtration:
         """Number of tracks, M."""
         return len(self.order)
 
+    def same_as(self, other: Filtration) -> bool:
+        """Whether the tracks, by number, and their classes are the same."""
+        return np.array_equal(self.order, other.order) and np.array_equal(self.gaps, other.gaps)
+
     @property
     def root(self) -> int:
         """The class of all tracks."""

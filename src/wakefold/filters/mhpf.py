@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
 from functools import lru_cache, partial
 from typing import Any, Literal
 
@@ -16,6 +15,7 @@ from wakefold.kernels import motion
 from wakefold.kernels import particles as kernel
 from wakefold.model import Model
 from wakefold.particles import COPIES, NOISE, Floats, Ints, ParticleFilter, elapsed
+from wakefold.units import Time
 
 Rule = Literal["arxiv2016", "gsi2017"]
 
@@ -64,6 +64,13 @@ class MHPF(ParticleFilter):
             self._used &= inner
         self._up = lru_cache(maxsize=64)(self._ancestors_in_use)
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_up"}  # a cache is no value
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._up = lru_cache(maxsize=64)(self._ancestors_in_use)
+
     def _ancestors_in_use(self, *more: float) -> Ints:
         """(C,) the nearest ancestor in use of every class, with the levels of a step's evidence in use as well."""
         tree, used = self.model.filtration, self._used
@@ -80,7 +87,7 @@ class MHPF(ParticleFilter):
         evidence: Sequence[Evidence] = (),
         dt: float | None = None,
         *,
-        time: float | str | datetime | None = None,
+        time: Time | None = None,
     ) -> Belief:
         """The belief after ``dt`` seconds (or at ``time``) and the evidence; no evidence is a missing observation.
 
