@@ -197,6 +197,25 @@ def test_bad_lines_are_told_and_cost_the_exit_code_not_the_rest(room: Path) -> N
     assert "2 lines refused" in err
 
 
+def test_one_wrong_time_does_not_silence_an_agent(room: Path) -> None:
+    def follow(*times: str) -> tuple[list[str], str]:
+        given = "agent,time,lon,lat\n" + "".join(f"a,{time},-74,40.6\n" for time in times)
+        _, out, err = run("track harbour.model - --particles 5", given)
+        return [row["event"] for row in csv.DictReader(io.StringIO(out))], err
+
+    right = [f"2020-12-08T06:0{i}:00Z" for i in range(6)]
+    events, err = follow(right[0], "1e300", right[1])
+    assert events == ["start", "step"]
+    assert "line 3 refused: time: '1e300'" in err
+    events, err = follow(right[0], "2999-01-01T00:00:00Z", *right[1:])
+    assert (events[:3], len(events)) == (["start", "restart", "restart"], 5)  # two right lines are lost
+    assert err.count("time runs backwards") == 2
+    assert follow("2999-01-01T00:00:00Z", *reversed(right))[0] == ["start"]  # they do not agree with each other
+    back = ["2020-12-08T05:00:00Z", "2020-12-08T05:01:00Z"]
+    events, _ = follow(right[0], *back, right[1], *back, right[2])  # never three in a row
+    assert (len(events), "restart" in events) == (3, False)
+
+
 def test_agents_are_bounded_and_a_long_silence_starts_anew(room: Path) -> None:
     line = "{},2020-12-08T{}:00Z,-74,40.6\n"
     given = "agent,time,lon,lat\n" + "".join(line.format(*x) for x in [("a", "06:00"), ("b", "06:01"), ("a", "06:02")])

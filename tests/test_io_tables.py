@@ -188,3 +188,12 @@ def test_several_files_continue_tracks(tmp_path):
 def test_real_tables(shared_data, name, options, tracks, points):
     found, report = wio.read_tracks(shared_data(name), **options)
     assert (len(found), report.rows, report.kept) == (tracks, points, points)
+
+
+def test_times_outside_the_years_1_to_9999_are_none_and_far_ones_are_pointed_out(tmp_path):
+    tracks, report = text(
+        tmp_path, "mmsi,t,longitude,latitude\n1,1607407200,-74,40\n1,1607407200000,-74,40\n1,5e9,-74,40\n"
+    )
+    assert tracks.times.tolist() == [1607407200.0, 5e9]
+    assert report.rejected == {"no time": 1}
+    assert [note for note in report.notes if note.startswith("2 times lie beyond the year 2100")]

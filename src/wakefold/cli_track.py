@@ -43,10 +43,14 @@ if TYPE_CHECKING:
 
 ROWS = 6  # of the picture
 TOLD = 20  # refused lines that are named
+BACK = 3  # lines of an agent in a row that are earlier than its belief, with rising times: its clock was set right
 
 
 class Crowd:
     """The live agents of a feed and their beliefs.
+
+    One wrong time far ahead must not silence an agent for good: it starts anew with the third line in a row that is
+    earlier than its belief, if the times of the three rise.
 
     Args:
         filter: takes the steps.
@@ -72,6 +76,7 @@ class Crowd:
         self.live: OrderedDict[str, Belief] = OrderedDict()
         self.agents = self.dropped = 0
         self._told_plane = False
+        self._earlier: dict[str, tuple[int, float]] = {}  # of live agents: lines in a row before the belief, the last
 
     def __call__(self, seen: Observation) -> tuple[Answer, Belief]:
         """The belief of the agent after an observation.
@@ -81,7 +86,7 @@ class Crowd:
         """
         coarse, at = seen.coarse(self.filter.model.filtration), self._at(seen)
         before = self.live.get(seen.agent)
-        if before is None or before.time is None or seen.time - before.time > self.max_gap:
+        if before is None or before.time is None or self._anew(seen, before.time):
             after = self.filter.start(fix=seen.fix, time=seen.time, agent=seen.agent)
             event = "start" if before is None else "restart"
             if coarse:
@@ -96,6 +101,16 @@ class Crowd:
         answer = self._answer(seen, event, after)
         self._keep(seen.agent, after)
         return answer, after
+
+    def _anew(self, seen: Observation, last: float) -> bool:
+        """Whether a live agent with a belief of the time ``last`` starts anew: after a long silence, or set back."""
+        if seen.time >= last:
+            self._earlier.pop(seen.agent, None)
+            return seen.time - last > self.max_gap
+        count, earlier = self._earlier.get(seen.agent, (0, seen.time))
+        count = count + 1 if seen.time > earlier else 1
+        self._earlier[seen.agent] = count, seen.time
+        return count >= BACK
 
     def _at(self, seen: Observation) -> np.ndarray | None:
         """Where a fix lies in the plane of the model.
@@ -118,10 +133,12 @@ class Crowd:
 
     def _keep(self, agent: str, belief: Belief) -> None:
         self.agents += agent not in self.live
+        self._earlier.pop(agent, None)
         self.live[agent] = belief
         self.live.move_to_end(agent)
         if len(self.live) > self.max_agents:
             oldest, _ = self.live.popitem(last=False)
+            self._earlier.pop(oldest, None)
             self.dropped += 1
             self.say(f"agent {oldest} dropped: over {self.max_agents:,} live agents (--max-agents)")
 

@@ -19,7 +19,7 @@ import numpy as np
 from wakefold.evidence import CoarseClass, Evidence, Fix
 from wakefold.io.report import ReadError, listed
 from wakefold.io.tables import recognised
-from wakefold.io.times import number, parse
+from wakefold.io.times import number, parse, within
 
 if TYPE_CHECKING:
     from wakefold.filtration import Filtration
@@ -257,6 +257,8 @@ def _observation(line: int, row: Mapping[str, Any] | str) -> Observation:
     time = parse(row["time"])
     if not math.isfinite(time):
         raise ValueError(f"time: {_echo(row['time'])} is neither ISO 8601 nor a number of seconds")
+    if not within(time):
+        raise ValueError(f"time: {_echo(row['time'])} lies outside the years 1 to 9999")
     class_ = _class(row["class"]) if "class" in row else None
     level, confidence = _number(row, "level"), _number(row, "confidence")
     if level is not None and level < 0:
@@ -345,7 +347,8 @@ class Answer(NamedTuple):
 
     Attributes:
         event: "start" of an agent, "step", "recovery" (lost, started anew from the fix) or "restart" after a long
-            silence; instead of each "off-map" if the estimate lies more than 6 sd from the fix all the same.
+            silence or where times went back; instead of each "off-map" if the estimate lies more than 6 sd from the fix
+            all the same.
         ahead: (seconds, place) of each forecast.
     """
 

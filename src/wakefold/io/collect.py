@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from wakefold.io import times
 from wakefold.io.records import Floats, Latest, Rows, Static, as_text, last_rows
 from wakefold.io.report import ReadError, Report, Tally
 from wakefold.io.rules import Mask, grouping, jumps, project, repeated, sort_times, starts, taken
@@ -18,6 +19,9 @@ from wakefold.tracks import Tracks
 
 MAX_GEODETIC_SPEED = 60.0
 """Metres per second (117 knots): faster than any ship, slower than most wrong positions imply."""
+LATE = (
+    "{n} times lie beyond the year 2100: if they are not in seconds, say so by time_format (--time-format), such as ms"
+)
 
 
 class Collector:
@@ -56,7 +60,8 @@ class Collector:
             time = np.full(n, np.nan)
         else:
             time = rows.time
-            good = self._refuse("no time", np.isfinite(time), good, rows)
+            good = self._refuse("no time", times.within(time), good, rows)
+            self.tally.note(LATE, int((time > times.YEAR_2100).sum()))
         if rows.geodetic:
             lon, lat = rows.position
             here = (np.abs(lon) <= 180) & (np.abs(lat) <= 90)  # NaN is not
