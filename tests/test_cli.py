@@ -222,6 +222,7 @@ def test_agents_are_bounded_and_a_long_silence_starts_anew(room: Path) -> None:
     _, out, err = run("track harbour.model - --max-agents 1", given)
     assert [row["event"] for row in csv.DictReader(io.StringIO(out))] == ["start", "start", "start"]
     assert err.count("dropped") == 2
+    assert "3 observations of 2 agents answered" in err
     _, out, _ = run("track harbour.model - --max-gap 90s", given)
     assert [row["event"] for row in csv.DictReader(io.StringIO(out))] == ["start", "start", "restart"]
 
@@ -460,7 +461,7 @@ def test_a_feed_is_answered_line_by_line_and_ctrl_c_ends_it(stream: subprocess.P
     stream.send_signal(signal.SIGINT)
     assert stream.wait(timeout=30) == 130
     said = stream.stderr.read().decode()
-    assert "3 observations of 1 agents answered" in said
+    assert "3 observations of 1 agent answered" in said
     assert "Traceback" not in said
 
 

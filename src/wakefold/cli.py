@@ -13,6 +13,7 @@ import typer
 
 from wakefold import __version__, cli_options, cli_relations, cli_support
 from wakefold.cli_support import fail, guarded, level_table, model_facts, naming, progress, say
+from wakefold.wording import number_text
 
 MOST_POINTS = 20_000_000  # of a model: far more than can be compared
 
@@ -147,7 +148,8 @@ def learn(
         fail("no track is left to learn from: " + "; ".join(pieces.notes))
     step = step or cli_options.auto_spacing(pieces) or fail("no track moves: give --spacing")
     if (points := cli_options.points_after(pieces, step)) > MOST_POINTS:
-        fail(f"a point every {step:.4g} m makes {points:,} points, over {MOST_POINTS:,}: give a larger --spacing")
+        every = f"a point every {number_text(step, 4)} m"
+        fail(f"{every} makes {points:,} points, over {MOST_POINTS:,}: give a larger --spacing")
     pieces = pieces.resample(spacing=step)
     for note in pieces.notes:
         show(f"  {note}")
@@ -167,7 +169,7 @@ def learn(
     if json_:
         print(json.dumps({"model": str(output), "report": report.to_dict(), **model_facts(model), "spacing": step}))
         return
-    print(f"{pieces!r}, a point every {step:.4g} m")
+    print(f"{pieces!r}, a point every {number_text(step, 4)} m")
     print(repr(model))
     print(level_table(tree))
     print(f"kept in {output}")

@@ -30,6 +30,7 @@ from wakefold.observations import (
 )
 from wakefold.observations import read as read_feed
 from wakefold.particles import LOST
+from wakefold.wording import counted
 
 if TYPE_CHECKING:
     from wakefold.belief import Belief
@@ -74,7 +75,7 @@ class Crowd:
         self.max_agents, self.say = max_agents, say
         self.max_gap = min(max_gap, longest_step(filter.model))
         self.live: OrderedDict[str, Belief] = OrderedDict()
-        self.agents = self.dropped = 0
+        self.met: set[int] = set()  # hashes of all names: some 60 bytes of each, while live agents are bounded
         self._told_plane = False
         self._earlier: dict[str, tuple[int, float]] = {}  # of live agents: lines in a row before the belief, the last
 
@@ -132,14 +133,13 @@ class Crowd:
         return at
 
     def _keep(self, agent: str, belief: Belief) -> None:
-        self.agents += agent not in self.live
+        self.met.add(hash(agent))
         self._earlier.pop(agent, None)
         self.live[agent] = belief
         self.live.move_to_end(agent)
         if len(self.live) > self.max_agents:
             oldest, _ = self.live.popitem(last=False)
             self._earlier.pop(oldest, None)
-            self.dropped += 1
             self.say(f"agent {oldest} dropped: over {self.max_agents:,} live agents (--max-agents)")
 
     def _answer(self, seen: Observation, event: str, belief: Belief) -> Answer:
@@ -272,8 +272,8 @@ def run(
                 elif refused == TOLD + 1:
                     say("more lines refused, from here on only counted")
         finally:
-            tail = f", {refused:,} lines refused" if refused else ""
-            say(f"{answered:,} observations of {crowd.agents:,} agents answered{tail}")
+            tail = f", {counted(refused, 'line')} refused" if refused else ""
+            say(f"{counted(answered, 'observation')} of {counted(len(crowd.met), 'agent')} answered{tail}")
     if not answered and not refused:
         raise ReadError(f"{observations}: no observation" + (f" of {_named(agents)}" if agents else ""))
     if absent := agents - met:
