@@ -22,7 +22,7 @@ from wakefold import cli, cli_track
 from wakefold.observations import Observation
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-COMMANDS = ("learn", "track", "show", "info", "demo", "relations")
+COMMANDS = ("learn", "track", "show", "info", "demo", "relations", "reproduce")
 WAKEFOLD = [sys.executable, "-m", "wakefold"]
 
 
@@ -98,8 +98,8 @@ def test_every_command_has_a_help_with_an_example() -> None:
         assert f"$ wakefold {command}" in out
 
 
-@pytest.mark.parametrize("example", [e for e in examples() if "demo" not in e])  # tests/test_demo.py runs the demo
-def test_example_runs(example: str, room: Path) -> None:
+@pytest.mark.parametrize("example", [e for e in examples() if "demo" not in e and "reproduce" not in e])
+def test_example_runs(example: str, room: Path) -> None:  # tests of their own run the demo and the experiments
     if "|" in example or ">" in example:
         bin_ = Path(sys.executable).parent
         environ = {**os.environ, "PATH": f"{bin_}{os.pathsep}{os.environ['PATH']}"}
@@ -265,6 +265,55 @@ def test_a_coordinate_across_the_antimeridian_does_not_jump(tmp_path: Path) -> N
     assert np.allclose(np.diff(np.array(feature["geometry"]["coordinates"][0])[:, 0]), 0.1, atol=1e-5)
 
 
+def test_exports_go_to_standard_output(room: Path) -> None:
+    model = wf.load("harbour.model")
+    code, out, err = run("show harbour.model --newick -")
+    assert (code, out) == (0, model.filtration.newick() + "\n")
+    assert "largest" in err
+    assert run("show harbour.model --linkage -")[1].startswith("left,right,height,tracks\n")
+    assert json.loads(run("show harbour.model --geojson - --level 300m")[1])["type"] == "FeatureCollection"
+    assert not Path("-").exists()
+
+
+def test_the_name_of_the_answers_says_their_form(room: Path) -> None:
+    line = "agent,time,lon,lat\na,2020-12-08T06:00:00Z,-74,40.6\n"
+    for name, options, is_json in (("a.jsonl", "", True), ("a.ndjson", "", True), ("a.jsonl", "--format csv", False)):
+        assert run(f"track harbour.model - --particles 5 -o {name} {options}", line)[0] == 0
+        assert Path(name).read_text().startswith("{") == is_json
+    given = '{"agent": "a", "time": 1, "lon": -74, "lat": 40.6}\n'
+    for name, is_json in (("b.csv", False), ("b.txt", True)):
+        assert run(f"track harbour.model - --particles 5 -o {name}", given)[0] == 0
+        assert Path(name).read_text().startswith("{") == is_json
+
+
+def test_milliseconds_are_pointed_out_and_read(room: Path) -> None:
+    rows = [
+        f"{'ab'[k]},{1_607_407_200_000 + 60_000 * i},{-74 + 0.002 * i},{40.6 + 0.01 * k}"
+        for k in (0, 1)
+        for i in range(9)
+    ]
+    (room / "ms.csv").write_text("\n".join(["agent,time,lon,lat", *rows]) + "\n")
+    code, _, err = run("info ms.csv")
+    assert code == 1
+    assert "18 times lie beyond the year 2100" in err
+    assert "--time-format" in err
+    assert "2020-12-08 06:00:00" in run("info ms.csv --time-format ms")[1]
+    assert "18 kept" in run("learn ms.csv --time-format ms -o ms.model")[1]
+    assert "18 kept" in run("relations ms.csv --time-format ms")[1]
+    assert "18 observations of 2 agents" in run("track harbour.model ms.csv --time-format ms --particles 5")[2]
+    code, _, err = run("track harbour.model fixes.csv --time-format ms --particles 5")
+    assert code == 1
+    assert "is not like ms" in err
+
+
+def test_learn_tells_of_ships_that_lie_still(room: Path) -> None:
+    rows = [f"moored{k},2020-12-01T06:{i:02d}:00Z,-74.000{i % 2},40.6" for k in range(11) for i in range(3)]
+    (room / "moored.csv").write_text(harbour() + "\n".join(rows) + "\n")
+    assert "11 of 21 tracks stay within 100 m; see --stop, --min-length" in run("learn moored.csv -o moored.model")[1]
+    (room / "moored.csv").write_text(harbour() + "\n".join(rows[3:]) + "\n")
+    assert "stay within" not in run("learn moored.csv -o moored.model")[1]
+
+
 def test_info_of_files_and_models(room: Path) -> None:
     code, out, _ = run("info harbour.csv harbour.model --json")
     file, model = json.loads(out)
@@ -290,6 +339,12 @@ def test_info_of_files_and_models(room: Path) -> None:
         ("track harbour.model fixes.csv --forecast 99999d", 2, "--forecast"),
         ("track harbour.model fixes.csv -o fixes.csv", 2, "--output"),
         ("show harbour.model --geojson c.json", 2, "--level"),
+        ("show harbour.model --newick - --json", 2, "standard output"),
+        ("show harbour.model --newick - --linkage -", 2, "standard output"),
+        ("learn - -o m", 2, "standard input is read by"),
+        ("info -", 2, "standard input is read by"),
+        ("relations -", 2, "standard input is read by"),
+        ("relations harbour.csv --pictures /proc/p", 2, "--pictures"),
         ("frobnicate", 2, "No such command"),
     ],
 )
@@ -318,6 +373,8 @@ def test_failures_are_one_line_and_an_exit_code(line: str, code: int, said: str,
         "learn --output people.csv/m",
         "learn --output harbour.model/m",
         "learn --output .",
+        "learn --output -",
+        "learn --output /proc/m/n",
         "track --levels high",
         "track --levels 500",
         "track --levels 0",
@@ -331,11 +388,14 @@ def test_failures_are_one_line_and_an_exit_code(line: str, code: int, said: str,
         "track --output .",
         "track --output harbour.model/a.csv",
         "track --output no/where.csv",
+        "track --output /proc/a.csv",
         "track --picture a.xyz",
         "show --level -1",
         "show --output a.xyz",
         "show --newick no/where.nwk",
+        "show --output /proc/a.png",
         "demo --out people.csv",
+        "demo --out /proc/demo",
     ],
 )
 def test_a_wrong_option_is_named_before_anything_is_read(options: str, room: Path) -> None:

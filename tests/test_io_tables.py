@@ -197,3 +197,10 @@ def test_times_outside_the_years_1_to_9999_are_none_and_far_ones_are_pointed_out
     assert tracks.times.tolist() == [1607407200.0, 5e9]
     assert report.rejected == {"no time": 1}
     assert [note for note in report.notes if note.startswith("2 times lie beyond the year 2100")]
+
+
+def test_a_line_of_nul_bytes_is_a_bad_line(tmp_path):
+    for quote in ("", '"'):  # lines taken apart at once, or one by one
+        _, report = text(tmp_path, f"id,t,x,y\na,0,1,2\n\0\0\0\n  \n{quote}a{quote},1,1,2\n")
+        assert (report.rows, report.kept, report.rejected) == (3, 2, {"bad line": 1})
+        assert report.offences["bad line"][0].line == 3

@@ -16,7 +16,9 @@ from wakefold.tracks import Tracks
 from wakefold.wording import counted, number_text
 
 
-def about(path: Path, columns: Columns | None, progress: Callable[[int, int], None]) -> tuple[str, dict[str, Any]]:
+def about(
+    path: Path, columns: Columns | None, time_format: str | None, progress: Callable[[int, int], None]
+) -> tuple[str, dict[str, Any]]:
     """What a file of tracks, or the directory of a model, holds: for people, and in plain types for JSON.
 
     Raises:
@@ -26,7 +28,7 @@ def about(path: Path, columns: Columns | None, progress: Callable[[int, int], No
         model = load(path)
         facts = {"path": str(path), "kind": "model", **model_facts(model), **_extent(model.tracks)}
         return "\n".join([f"{path}: {model!r}", *_said(facts), level_table(model.filtration)]), facts
-    tracks, report = read_tracks(path, columns=columns, progress=progress)
+    tracks, report = read_tracks(path, columns=columns, time_format=time_format, progress=progress)
     facts = {"path": str(path), "kind": "tracks", "tracks": len(tracks), "points": len(tracks.points)}
     facts |= _extent(tracks) | {"report": report.to_dict()}
     return "\n".join([str(report), *_said(facts)]), facts

@@ -212,6 +212,7 @@ def run(
     output: str,
     form: Form | None,
     columns: Columns | None,
+    time_format: str | None,
     agents: frozenset[str],
     album: Album | None,
     progress: Callable[..., None],
@@ -235,9 +236,9 @@ def run(
     if observations == "-":
         lines = numbered_lines(sys.stdin.buffer)
         first = next(lines, (1, b""))
-        given, feed = form_of(first[1]), read_feed(chain([first], lines), columns)
+        given, feed = form_of(first[1]), read_feed(chain([first], lines), columns, time_format)
     else:
-        given, feed, report = feed_of(Path(observations), columns, progress)
+        given, feed, report = feed_of(Path(observations), columns, time_format, progress)
         if report is not None:
             say(str(report))
     form = form or given
@@ -307,7 +308,7 @@ def draw(album: Album, model: Model, path: Path) -> None:
 
 
 def feed_of(
-    path: Path, columns: Columns | None, progress: Callable[[int, int], None]
+    path: Path, columns: Columns | None, time_format: str | None, progress: Callable[[int, int], None]
 ) -> tuple[Form, Iterator[Observation | Refused], Report | None]:
     """What a file observes: CSV or JSON lines as they stand, any other format by way of ``read_tracks``.
 
@@ -323,7 +324,7 @@ def feed_of(
 
     def feed() -> Iterator[Observation | Refused]:
         for source in open_sources(path, progress=progress):
-            yield from read_feed(source.lines(), columns)
+            yield from read_feed(source.lines(), columns, time_format)
 
     source = next(iter(open_sources(path)))
     first = next((line for line in source.head.split(b"\n") if line.strip()), b"")
@@ -333,5 +334,5 @@ def feed_of(
         ais = False
     if is_feed(first, columns) and not ais:
         return form_of(first), feed(), None
-    tracks, report = read_tracks(path, columns=columns, progress=progress)
+    tracks, report = read_tracks(path, columns=columns, time_format=time_format, progress=progress)
     return "csv", of_tracks(tracks), report

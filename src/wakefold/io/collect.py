@@ -127,7 +127,7 @@ class Collector:
     def _code(self, value: Any) -> int:
         """Number of an agent given by its value in a file."""
         if value not in self._seen:
-            name = _identity(value)
+            name = identity(value)
             self._seen[value] = self._codes.setdefault(name, len(self._codes)) if name else -1
         return self._seen[value]
 
@@ -230,7 +230,7 @@ class _Sorted:
             self.position = [p[mask] for p in self.position]
 
 
-def _identity(value: Any) -> str:
+def identity(value: Any) -> str:
     """Name of an agent; whole numbers that were made floats on their way (``367000140.0``) without the fraction."""
     text = as_text(value)
     return str(int(float(text))) if re.fullmatch(r"\d{1,15}\.\d*(e\+?\d\d?)?", text) and float(text) % 1 == 0 else text
