@@ -304,6 +304,7 @@ def test_milliseconds_are_pointed_out_and_read(room: Path) -> None:
     code, _, err = run("track harbour.model fixes.csv --time-format ms --particles 5")
     assert code == 1
     assert "is not like ms" in err
+    assert "see --time-format" in run("track harbour.model ms.csv --particles 5")[2]
 
 
 def test_learn_tells_of_ships_that_lie_still(room: Path) -> None:

@@ -262,7 +262,8 @@ def _observation(line: int, row: Mapping[str, Any] | str, time_format: str | Non
         wanted = "neither ISO 8601 nor a number of seconds" if time_format is None else f"not like {time_format}"
         raise ValueError(f"time: {_echo(row['time'])} is {wanted}")
     if not within(time):
-        raise ValueError(f"time: {_echo(row['time'])} lies outside the years 1 to 9999")
+        hint = " (is it in seconds? see --time-format)" if time_format is None else ""
+        raise ValueError(f"time: {_echo(row['time'])} lies outside the years 1 to 9999{hint}")
     class_ = _class(row["class"]) if "class" in row else None
     level, confidence = _number(row, "level"), _number(row, "confidence")
     if level is not None and level < 0:
