@@ -22,7 +22,7 @@ from wakefold import cli, cli_track
 from wakefold.observations import Observation
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-COMMANDS = ("learn", "track", "show", "info", "demo", "relations")
+COMMANDS = ("learn", "track", "show", "info", "demo", "relations", "reproduce")
 WAKEFOLD = [sys.executable, "-m", "wakefold"]
 
 
@@ -98,8 +98,8 @@ def test_every_command_has_a_help_with_an_example() -> None:
         assert f"$ wakefold {command}" in out
 
 
-@pytest.mark.parametrize("example", [e for e in examples() if "demo" not in e])  # tests/test_demo.py runs the demo
-def test_example_runs(example: str, room: Path) -> None:
+@pytest.mark.parametrize("example", [e for e in examples() if "demo" not in e and "reproduce" not in e])
+def test_example_runs(example: str, room: Path) -> None:  # tests of their own run the demo and the experiments
     if "|" in example or ">" in example:
         bin_ = Path(sys.executable).parent
         environ = {**os.environ, "PATH": f"{bin_}{os.pathsep}{os.environ['PATH']}"}
@@ -197,12 +197,32 @@ def test_bad_lines_are_told_and_cost_the_exit_code_not_the_rest(room: Path) -> N
     assert "2 lines refused" in err
 
 
+def test_one_wrong_time_does_not_silence_an_agent(room: Path) -> None:
+    def follow(*times: str) -> tuple[list[str], str]:
+        given = "agent,time,lon,lat\n" + "".join(f"a,{time},-74,40.6\n" for time in times)
+        _, out, err = run("track harbour.model - --particles 5", given)
+        return [row["event"] for row in csv.DictReader(io.StringIO(out))], err
+
+    right = [f"2020-12-08T06:0{i}:00Z" for i in range(6)]
+    events, err = follow(right[0], "1e300", right[1])
+    assert events == ["start", "step"]
+    assert "line 3 refused: time: '1e300'" in err
+    events, err = follow(right[0], "2999-01-01T00:00:00Z", *right[1:])
+    assert (events[:3], len(events)) == (["start", "restart", "restart"], 5)  # two right lines are lost
+    assert err.count("time runs backwards") == 2
+    assert follow("2999-01-01T00:00:00Z", *reversed(right))[0] == ["start"]  # they do not agree with each other
+    back = ["2020-12-08T05:00:00Z", "2020-12-08T05:01:00Z"]
+    events, _ = follow(right[0], *back, right[1], *back, right[2])  # never three in a row
+    assert (len(events), "restart" in events) == (3, False)
+
+
 def test_agents_are_bounded_and_a_long_silence_starts_anew(room: Path) -> None:
     line = "{},2020-12-08T{}:00Z,-74,40.6\n"
     given = "agent,time,lon,lat\n" + "".join(line.format(*x) for x in [("a", "06:00"), ("b", "06:01"), ("a", "06:02")])
     _, out, err = run("track harbour.model - --max-agents 1", given)
     assert [row["event"] for row in csv.DictReader(io.StringIO(out))] == ["start", "start", "start"]
     assert err.count("dropped") == 2
+    assert "3 observations of 2 agents answered" in err
     _, out, _ = run("track harbour.model - --max-gap 90s", given)
     assert [row["event"] for row in csv.DictReader(io.StringIO(out))] == ["start", "start", "restart"]
 
@@ -245,6 +265,56 @@ def test_a_coordinate_across_the_antimeridian_does_not_jump(tmp_path: Path) -> N
     assert np.allclose(np.diff(np.array(feature["geometry"]["coordinates"][0])[:, 0]), 0.1, atol=1e-5)
 
 
+def test_exports_go_to_standard_output(room: Path) -> None:
+    model = wf.load("harbour.model")
+    code, out, err = run("show harbour.model --newick -")
+    assert (code, out) == (0, model.filtration.newick() + "\n")
+    assert "largest" in err
+    assert run("show harbour.model --linkage -")[1].startswith("left,right,height,tracks\n")
+    assert json.loads(run("show harbour.model --geojson - --level 300m")[1])["type"] == "FeatureCollection"
+    assert not Path("-").exists()
+
+
+def test_the_name_of_the_answers_says_their_form(room: Path) -> None:
+    line = "agent,time,lon,lat\na,2020-12-08T06:00:00Z,-74,40.6\n"
+    for name, options, is_json in (("a.jsonl", "", True), ("a.ndjson", "", True), ("a.jsonl", "--format csv", False)):
+        assert run(f"track harbour.model - --particles 5 -o {name} {options}", line)[0] == 0
+        assert Path(name).read_text().startswith("{") == is_json
+    given = '{"agent": "a", "time": 1, "lon": -74, "lat": 40.6}\n'
+    for name, is_json in (("b.csv", False), ("b.txt", True)):
+        assert run(f"track harbour.model - --particles 5 -o {name}", given)[0] == 0
+        assert Path(name).read_text().startswith("{") == is_json
+
+
+def test_milliseconds_are_pointed_out_and_read(room: Path) -> None:
+    rows = [
+        f"{'ab'[k]},{1_607_407_200_000 + 60_000 * i},{-74 + 0.002 * i},{40.6 + 0.01 * k}"
+        for k in (0, 1)
+        for i in range(9)
+    ]
+    (room / "ms.csv").write_text("\n".join(["agent,time,lon,lat", *rows]) + "\n")
+    code, _, err = run("info ms.csv")
+    assert code == 1
+    assert "18 times lie beyond the year 2100" in err
+    assert "--time-format" in err
+    assert "2020-12-08 06:00:00" in run("info ms.csv --time-format ms")[1]
+    assert "18 kept" in run("learn ms.csv --time-format ms -o ms.model")[1]
+    assert "18 kept" in run("relations ms.csv --time-format ms")[1]
+    assert "18 observations of 2 agents" in run("track harbour.model ms.csv --time-format ms --particles 5")[2]
+    code, _, err = run("track harbour.model fixes.csv --time-format ms --particles 5")
+    assert code == 1
+    assert "is not like ms" in err
+    assert "see --time-format" in run("track harbour.model ms.csv --particles 5")[2]
+
+
+def test_learn_tells_of_ships_that_lie_still(room: Path) -> None:
+    rows = [f"moored{k},2020-12-01T06:{i:02d}:00Z,-74.000{i % 2},40.6" for k in range(11) for i in range(3)]
+    (room / "moored.csv").write_text(harbour() + "\n".join(rows) + "\n")
+    assert "11 of 21 tracks stay within 100 m; see --stop, --min-length" in run("learn moored.csv -o moored.model")[1]
+    (room / "moored.csv").write_text(harbour() + "\n".join(rows[3:]) + "\n")
+    assert "stay within" not in run("learn moored.csv -o moored.model")[1]
+
+
 def test_info_of_files_and_models(room: Path) -> None:
     code, out, _ = run("info harbour.csv harbour.model --json")
     file, model = json.loads(out)
@@ -270,6 +340,12 @@ def test_info_of_files_and_models(room: Path) -> None:
         ("track harbour.model fixes.csv --forecast 99999d", 2, "--forecast"),
         ("track harbour.model fixes.csv -o fixes.csv", 2, "--output"),
         ("show harbour.model --geojson c.json", 2, "--level"),
+        ("show harbour.model --newick - --json", 2, "standard output"),
+        ("show harbour.model --newick - --linkage -", 2, "standard output"),
+        ("learn - -o m", 2, "standard input is read by"),
+        ("info -", 2, "standard input is read by"),
+        ("relations -", 2, "standard input is read by"),
+        ("relations harbour.csv --pictures /proc/p", 2, "--pictures"),
         ("frobnicate", 2, "No such command"),
     ],
 )
@@ -298,6 +374,8 @@ def test_failures_are_one_line_and_an_exit_code(line: str, code: int, said: str,
         "learn --output people.csv/m",
         "learn --output harbour.model/m",
         "learn --output .",
+        "learn --output -",
+        "learn --output /proc/m/n",
         "track --levels high",
         "track --levels 500",
         "track --levels 0",
@@ -311,11 +389,14 @@ def test_failures_are_one_line_and_an_exit_code(line: str, code: int, said: str,
         "track --output .",
         "track --output harbour.model/a.csv",
         "track --output no/where.csv",
+        "track --output /proc/a.csv",
         "track --picture a.xyz",
         "show --level -1",
         "show --output a.xyz",
         "show --newick no/where.nwk",
+        "show --output /proc/a.png",
         "demo --out people.csv",
+        "demo --out /proc/demo",
     ],
 )
 def test_a_wrong_option_is_named_before_anything_is_read(options: str, room: Path) -> None:
@@ -441,7 +522,7 @@ def test_a_feed_is_answered_line_by_line_and_ctrl_c_ends_it(stream: subprocess.P
     stream.send_signal(signal.SIGINT)
     assert stream.wait(timeout=30) == 130
     said = stream.stderr.read().decode()
-    assert "3 observations of 1 agents answered" in said
+    assert "3 observations of 1 agent answered" in said
     assert "Traceback" not in said
 
 

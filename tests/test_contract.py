@@ -40,7 +40,7 @@ STOREYS = [
     ["walkers"],
     ["stops"],
     ["tracks", "shaping"],
-    ["ragged", "sketch", "projection", "units", "smoothing", "places"],
+    ["ragged", "sketch", "projection", "units", "smoothing", "places", "wording"],
     ["store"],
     ["parallel"],
     ["kernels.*"],

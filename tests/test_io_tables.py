@@ -196,3 +196,19 @@ def test_positions_out_of_this_world_are_rejected(tmp_path):
     tracks, report = wio.read_tracks(path)
     assert tracks.points.tolist() == [[1.0, 1.0], [2.0, 2.0]]
     assert report.rejected == {"no position": 2}
+
+
+def test_times_outside_the_years_1_to_9999_are_none_and_far_ones_are_pointed_out(tmp_path):
+    tracks, report = text(
+        tmp_path, "mmsi,t,longitude,latitude\n1,1607407200,-74,40\n1,1607407200000,-74,40\n1,5e9,-74,40\n"
+    )
+    assert tracks.times.tolist() == [1607407200.0, 5e9]
+    assert report.rejected == {"no time": 1}
+    assert [note for note in report.notes if note.startswith("2 times lie beyond the year 2100")]
+
+
+def test_a_line_of_nul_bytes_is_a_bad_line(tmp_path):
+    for quote in ("", '"'):  # lines taken apart at once, or one by one
+        _, report = text(tmp_path, f"id,t,x,y\na,0,1,2\n\0\0\0\n  \n{quote}a{quote},1,1,2\n")
+        assert (report.rows, report.kept, report.rejected) == (3, 2, {"bad line": 1})
+        assert report.offences["bad line"][0].line == 3

@@ -80,3 +80,10 @@ def test_refusals(tmp_path):
         wio.write_tracks(tracks, tmp_path / "a.shp")
     with pytest.raises(ValueError, match="one dimension"):
         wio.write_tracks(Tracks.from_arrays([np.zeros((2, 1))]), tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("name", ["a\nb", "a\rb", " a", "a\t", "7.0", "a\0b", ""])
+def test_ids_that_would_come_back_as_others_are_refused(tmp_path, name):
+    with pytest.raises(ValueError, match="id"):
+        wio.write_tracks(Tracks.from_arrays([np.zeros((2, 2))], ids=[name]), tmp_path / "a.csv")
+    assert not (tmp_path / "a.csv").exists()

@@ -81,6 +81,9 @@ def test_classes_that_are_none(tree: wf.Filtration, cells: str, problem: str) ->
     [
         ("a,,1,2,5,", "time"),
         ("a,yesterday,1,2,5,", "time"),
+        ("a,1e300,1,2,5,", "time: '1e300' lies outside"),
+        ("a,1e999,1,2,5,", "time"),
+        ("a,1607407200000,1,2,5,", "time: '1607407200000' lies outside"),
         (",1,1,2,5,", "agent"),
         ("a,1,1,91,5,", "lat"),
         ("a,1,500,2,5,", "lon"),

@@ -113,7 +113,7 @@ def test_opacity_is_probability(tracks, tree):
     figure = plot.beliefs(tracks, tree, moments(tracks, tree, [0.0, 500.0, 1e9], share))
     panels = np.reshape(np.array(figure.axes, dtype=object), (3, 3))
     assert [ax.get_title(loc="left") for ax in panels[0]] == [
-        "level 0 m\n13 classes", "level 500 m\n4 classes", "level 1e+06 km\n1 classes"
+        "level 0 m\n13 classes", "level 500 m\n4 classes", "level 1,000,000 km\n1 classes"
     ]  # fmt: skip
     assert [sum(line_colours(ax).values()) for ax in panels[0]] == [13, 13, 13]
     assert [sum(line_colours(ax).values()) for ax in panels[1]] == [6, 6, 13]  # unlikely classes are not drawn

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from wakefold.projection import Projection
 from wakefold.tracks import Tracks
+from wakefold.wording import counted
 
 
 @st.composite
@@ -55,8 +56,8 @@ def test_stops_follow_their_definition(tracks, radius, duration, min_points):
     kept = tracks.segment(stop_radius=radius, stop_time=duration, min_points=min_points)
     assert kept.ids.tolist() == every.ids[every.lengths >= min_points].tolist()
     lost = every.lengths[every.lengths < min_points].sum()
-    assert any(f"({lost:,} points)" in note for note in kept.notes) == (lost > 0)
-    assert any(f"{stopped.sum():,} points in stops" in note for note in kept.notes) == stopped.any()
+    assert any(f"({counted(lost, 'point')})" in note for note in kept.notes) == (lost > 0)
+    assert any(f"{counted(stopped.sum(), 'point')} in stops" in note for note in kept.notes) == stopped.any()
 
 
 def test_a_ferry_is_cut_at_its_berths():

@@ -12,7 +12,9 @@ from typing import Annotated, Any
 import typer
 
 from wakefold import __version__, cli_options, cli_relations, cli_support
+from wakefold.cli_options import Columns, Json, TimeFormat, opt
 from wakefold.cli_support import fail, guarded, level_table, model_facts, naming, progress, say
+from wakefold.wording import number_text
 
 MOST_POINTS = 20_000_000  # of a model: far more than can be compared
 
@@ -54,23 +56,8 @@ class FormName(StrEnum):
     jsonl = "jsonl"
 
 
-def _opt(help: str, *names: str) -> Any:
-    """An option whose default is said in its help, or needs no saying."""
-    return typer.Option(*names, help=help, show_default=False)
-
-
 def _arg(help: str) -> Any:
     return typer.Argument(help=help, show_default=False)
-
-
-Columns = Annotated[
-    str,
-    _opt(
-        "Columns of a table: agent=...,time=...,lon=...,lat=... or x=...,y=...; by position (0, 1, ...) if it has "
-        "no header."
-    ),
-]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, for a program to read.")]
 
 
 @app.callback(invoke_without_command=True)
@@ -99,7 +86,7 @@ def _options(
 @guarded
 def learn(
     tracks: Annotated[list[Path], _arg("Files of tracks; their format is recognised.")],
-    output: Annotated[Path, _opt("Directory to keep the model in.", "-o", "--output")],
+    output: Annotated[Path, opt("Directory to keep the model in.", "-o", "--output")],
     spacing: Annotated[
         str,
         typer.Option(
@@ -110,15 +97,16 @@ def learn(
     max_gap: Annotated[str, typer.Option(help="Cut a track where its agent is silent for longer.")] = "30min",
     stop: Annotated[
         str | None,
-        _opt("Cut a track where its agent stands: RADIUS,TIME such as 150m,10min."),
+        opt("Cut a track where its agent stands: RADIUS,TIME such as 150m,10min."),
     ] = None,
     min_length: Annotated[str, typer.Option(help="Leave out tracks that are shorter, such as 1km.")] = "0",
     linkage: Annotated[LinkageName, typer.Option(help="How classes join.")] = LinkageName.single,
     epsilon: Annotated[
         str | None,
-        _opt("Radius of the velocity field, such as 500m; learned without."),
+        opt("Radius of the velocity field, such as 500m; learned without."),
     ] = None,
     columns: Columns = "",
+    time_format: TimeFormat = None,
     threads: Annotated[int | None, typer.Option(help="Of the distances; all cores without.", min=1)] = None,
     json_: Json = False,
 ) -> None:
@@ -132,6 +120,7 @@ def learn(
     """
     import wakefold as wf
 
+    cli_options.input_files(tracks)
     cli_options.model_directory(output)
     step = None if spacing == "auto" else cli_options.length("--spacing", spacing)
     cuts = {"max_gap": cli_options.duration("--max-gap", max_gap), **cli_options.stop(stop)}
@@ -139,15 +128,18 @@ def learn(
     radius = None if epsilon is None else cli_options.length("--epsilon", epsilon)
     names = cli_options.columns(columns)
     with progress("reading") as update:
-        read, report = wf.read_tracks(tracks, columns=names, progress=update)
+        read, report = wf.read_tracks(tracks, columns=names, time_format=time_format, progress=update)
     show = say if json_ else print
     show(str(report))
     pieces = read.segment(**cuts).filter(min_length=shortest)
     if not len(pieces):
         fail("no track is left to learn from: " + "; ".join(pieces.notes))
+    if remark := cli_options.at_rest(pieces):
+        show(f"  note: {remark}")
     step = step or cli_options.auto_spacing(pieces) or fail("no track moves: give --spacing")
     if (points := cli_options.points_after(pieces, step)) > MOST_POINTS:
-        fail(f"a point every {step:.4g} m makes {points:,} points, over {MOST_POINTS:,}: give a larger --spacing")
+        every = f"a point every {number_text(step, 4)} m"
+        fail(f"{every} makes {points:,} points, over {MOST_POINTS:,}: give a larger --spacing")
     pieces = pieces.resample(spacing=step)
     for note in pieces.notes:
         show(f"  {note}")
@@ -167,7 +159,7 @@ def learn(
     if json_:
         print(json.dumps({"model": str(output), "report": report.to_dict(), **model_facts(model), "spacing": step}))
         return
-    print(f"{pieces!r}, a point every {step:.4g} m")
+    print(f"{pieces!r}, a point every {number_text(step, 4)} m")
     print(repr(model))
     print(level_table(tree))
     print(f"kept in {output}")
@@ -187,26 +179,30 @@ def track(
         ),
     ] = None,
     filter: Annotated[FilterName, typer.Option(help="Who follows.")] = FilterName.mhpf,
-    rule: Annotated[RuleName | None, _opt("Update rule of mhpf; arxiv2016 without.")] = None,
+    rule: Annotated[RuleName | None, opt("Update rule of mhpf; arxiv2016 without.")] = None,
     likelihood: Annotated[LikelihoodName, typer.Option(help="Weight of a fix.")] = LikelihoodName.gaussian,
     sd: Annotated[
         str | None,
-        _opt("Accuracy of fixes that tell none, such as 20m; the model's without."),
+        opt("Accuracy of fixes that tell none, such as 20m; the model's without."),
     ] = None,
     particles: Annotated[int, typer.Option(help="Particles of each agent.", min=1, max=1_000_000)] = 200,
     depletion: Annotated[
         float, typer.Option(help="Share of the particles whose class is drawn anew, from all tracks, in every step.")
     ] = 0.001,
     seed: Annotated[int, typer.Option(help="Of all random numbers.", min=0)] = 0,
-    forecast: Annotated[str, _opt("Forecasts to add to every answer, such as 5min,15min.")] = "",
-    format: Annotated[FormName | None, _opt("Of the answers; that of the observations without.")] = None,
+    forecast: Annotated[str, opt("Forecasts to add to every answer, such as 5min,15min.")] = "",
+    format: Annotated[
+        FormName | None,
+        opt("Of the answers; by the name of --output (.csv, .jsonl, .ndjson), or that of the observations without."),
+    ] = None,
     columns: Columns = "",
-    agent: Annotated[list[str] | None, _opt("Follow this agent only; may be repeated.")] = None,
+    time_format: TimeFormat = None,
+    agent: Annotated[list[str] | None, opt("Follow this agent only; may be repeated.")] = None,
     max_agents: Annotated[
         int, typer.Option(help="Live agents at most; the one silent for longest is dropped.", min=1)
     ] = 10_000,
     max_gap: Annotated[str, typer.Option(help="An agent starts anew after a longer silence.")] = "6h",
-    picture: Annotated[Path | None, _opt("Picture (png, svg, pdf) of the first agent's beliefs.")] = None,
+    picture: Annotated[Path | None, opt("Picture (png, svg, pdf) of the first agent's beliefs.")] = None,
 ) -> None:
     """Follow agents: an answer for each observation, line by line.
 
@@ -252,11 +248,11 @@ def track(
             follower = wf.BL1(known, particles, coarse=filter is FilterName.bl1_coarse, **settings)
     crowd = cli_track.Crowd(follower, heights, horizons, max_agents, silence, say)
     album = cli_track.Album(heights) if picture is not None else None
-    form = None if format is None else format.value
+    form = cli_options.form_of_name(output) if format is None else format.value
     with progress("following", shown=output != "-") as update:
         try:
             refused = cli_track.run(
-                crowd, observations, output, form, names, frozenset(agent or ()), album, update, say
+                crowd, observations, output, form, names, time_format, frozenset(agent or ()), album, update, say
             )
         finally:
             if album is not None and album.agent is not None and picture is not None:
@@ -269,15 +265,15 @@ def track(
 @guarded
 def show(
     model: Annotated[Path, _arg("Directory that `wakefold learn` made.")],
-    output: Annotated[Path | None, _opt("Picture (png, svg, pdf): map and tree.", "-o", "--output")] = None,
+    output: Annotated[Path | None, opt("Picture (png, svg, pdf): map and tree.", "-o", "--output")] = None,
     level: Annotated[
         str | None,
-        _opt("Level of picture and GeoJSON, such as 500m; for the picture a telling one without."),
+        opt("Level of picture and GeoJSON, such as 500m; for the picture a telling one without."),
     ] = None,
-    newick: Annotated[Path | None, _opt("Write the tree as Newick.")] = None,
-    linkage: Annotated[Path | None, _opt("Write the merges as scipy does, CSV or .npy.")] = None,
-    geojson: Annotated[Path | None, _opt("Write the classes of a level as GeoJSON.")] = None,
-    coastline: Annotated[Path | None, _opt("GeoJSON file to draw under the tracks.")] = None,
+    newick: Annotated[Path | None, opt("Write the tree as Newick; - is standard output.")] = None,
+    linkage: Annotated[Path | None, opt("Write the merges as scipy does, CSV or .npy; - is standard output.")] = None,
+    geojson: Annotated[Path | None, opt("Write the classes of a level as GeoJSON; - is standard output.")] = None,
+    coastline: Annotated[Path | None, opt("GeoJSON file to draw under the tracks.")] = None,
     json_: Json = False,
 ) -> None:
     """Show the tree of classes and the tracks on a map; export the tree.
@@ -295,8 +291,12 @@ def show(
     if geojson is not None and level is None:
         cli_options.wrong("--geojson", "say of which --level")
     height = None if level is None else cli_options.length("--level", level, zero=True)
-    for option, path in (("--newick", newick), ("--linkage", linkage), ("--geojson", geojson)):
-        if path is not None:
+    exports = {"--newick": newick, "--linkage": linkage, "--geojson": geojson}
+    streamed = [option for option, path in exports.items() if path == cli_options.STANDARD]
+    if len(streamed) + json_ > 1:
+        cli_options.wrong(streamed[-1], "one thing only goes to standard output")
+    for option, path in exports.items():
+        if path is not None and option not in streamed:
             cli_options.output_file(option, path)
     if output is not None:
         cli_options.output_file("--output", output, picture=True)
@@ -305,18 +305,14 @@ def show(
     if json_:
         print(json.dumps({"model": str(model), **model_facts(known)}))
     else:
-        print(repr(known))
-        print(level_table(tree))
-    done: list[Path] = []
+        print(repr(known), level_table(tree), sep="\n", file=sys.stderr if streamed else sys.stdout)
     if newick is not None:
         export.write_newick(tree, newick)
-        done.append(newick)
     if linkage is not None:
         export.write_linkage(tree, linkage)
-        done.append(linkage)
     if geojson is not None and height is not None:
         export.write_classes(tracks, tree, height, geojson)
-        done.append(geojson)
+    done = [path for option, path in exports.items() if path is not None and option not in streamed]
     if output is not None:
         from wakefold import plot
 
@@ -331,6 +327,7 @@ def show(
 def info(
     files: Annotated[list[Path], _arg("Files of tracks, or models.")],
     columns: Columns = "",
+    time_format: TimeFormat = None,
     json_: Json = False,
 ) -> None:
     """Say what files of tracks, or models, hold.
@@ -342,10 +339,11 @@ def info(
     """
     from wakefold.cli_info import about
 
+    cli_options.input_files(files)
     names, known = cli_options.columns(columns), []
     for path in files:
         with progress("reading") as update:
-            text, facts = about(path, names, update)
+            text, facts = about(path, names, time_format, update)
         known.append(facts)
         if not json_:
             print(text)
@@ -368,8 +366,7 @@ def demo(
     """
     from wakefold import demo as harbour
 
-    if out.exists() and not out.is_dir():
-        cli_options.wrong("--out", f"{out} is not a directory")
+    cli_options.output_directory("--out", out)
     with progress("demo") as update:
         results = harbour.run(out, update, (lambda line: None) if json_ else print)
     if json_:
@@ -384,9 +381,9 @@ def reproduce(
     out: Annotated[Path, typer.Option(help="Directory for index.html, pictures and results.")] = Path("reproduced"),
     seed: Annotated[int, typer.Option(help="Of everything.", min=0)] = 0,
     raster: Annotated[
-        Path | None, _opt("Tracks, such as AIS, to count the tankers' raster from; synthetic without.")
+        Path | None, opt("Tracks, such as AIS, to count the tankers' raster from; synthetic without.")
     ] = None,
-    processes: Annotated[int | None, _opt("At once; one on each core without.")] = None,
+    processes: Annotated[int | None, opt("At once; one on each core without.")] = None,
     list_: Annotated[bool, typer.Option("--list", help="Name the figures and end.")] = False,
 ) -> None:
     """Repeat the experiments of the papers: one page, every figure and number beside the published one.
@@ -406,8 +403,7 @@ def reproduce(
         return
     if unknown := [name for name in figures or [] if name not in registry.FIGURES]:
         cli_options.wrong("figures", f"no {unknown[0]!r}; there are {', '.join(registry.FIGURES)}")
-    if out.exists() and not out.is_dir():
-        cli_options.wrong("--out", f"{out} is not a directory")
+    cli_options.output_directory("--out", out)
     if processes is not None and processes < 1:
         cli_options.wrong("--processes", "at least 1")
     from wakefold.experiments.reproduce import reproduce as run

@@ -13,9 +13,12 @@ from wakefold.io import Columns, read_tracks
 from wakefold.model import load
 from wakefold.observations import dated
 from wakefold.tracks import Tracks
+from wakefold.wording import counted, number_text
 
 
-def about(path: Path, columns: Columns | None, progress: Callable[[int, int], None]) -> tuple[str, dict[str, Any]]:
+def about(
+    path: Path, columns: Columns | None, time_format: str | None, progress: Callable[[int, int], None]
+) -> tuple[str, dict[str, Any]]:
     """What a file of tracks, or the directory of a model, holds: for people, and in plain types for JSON.
 
     Raises:
@@ -25,7 +28,7 @@ def about(path: Path, columns: Columns | None, progress: Callable[[int, int], No
         model = load(path)
         facts = {"path": str(path), "kind": "model", **model_facts(model), **_extent(model.tracks)}
         return "\n".join([f"{path}: {model!r}", *_said(facts), level_table(model.filtration)]), facts
-    tracks, report = read_tracks(path, columns=columns, progress=progress)
+    tracks, report = read_tracks(path, columns=columns, time_format=time_format, progress=progress)
     facts = {"path": str(path), "kind": "tracks", "tracks": len(tracks), "points": len(tracks.points)}
     facts |= _extent(tracks) | {"report": report.to_dict()}
     return "\n".join([str(report), *_said(facts)]), facts
@@ -72,12 +75,13 @@ def _said(facts: dict[str, Any]) -> list[str]:
     metre = "m" if facts["geodetic"] else "units"  # of a plane that may be in anything
     steps = ""
     if middle["interval"] is not None:
-        steps = f"; a point every {middle['interval']:.4g} s or {middle['spacing']:.4g} {metre}"
+        steps = f"; a point every {number_text(middle['interval'], 4)} s or {number_text(middle['spacing'], 4)} {metre}"
+    tracks, agents, points = (counted(facts[what], what[:-1]) for what in ("tracks", "agents", "points"))
     return [
-        f"  {facts['tracks']:,} tracks of {facts['agents']:,} agents, {facts['points']:,} points",
+        f"  {tracks} of {agents}, {points}",
         f"  when   {when}",
         f"  where  {where}",
-        f"  median track: {_plain(middle['metres'])} {metre} in {_plain(middle['seconds'])} s, "
+        f"  median track: {number_text(middle['metres'], 4)} {metre} in {number_text(middle['seconds'], 4)} s, "
         f"{middle['points']:,.0f} points{steps}",
     ]
 
@@ -85,11 +89,6 @@ def _said(facts: dict[str, Any]) -> list[str]:
 def _span(area: dict[str, float], low: str, high: str, sides: str) -> str:
     """``123.1000°W..75.7000°W``."""
     return "..".join(f"{abs(area[end]):.4f}°{sides[area[end] < 0]}" for end in (low, high))
-
-
-def _plain(value: float) -> str:
-    """Four digits and no exponent."""
-    return f"{value:,.0f}" if value >= 1000 else f"{value:.4g}"
 
 
 def _finite(value: float) -> float | None:

@@ -2,21 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import tempfile
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar
 
 import typer
 
+from wakefold.wording import counted
+
 if TYPE_CHECKING:
+    import numpy as np
+
     from wakefold.filtration import Filtration
+    from wakefold.observations import Form
     from wakefold.tracks import Tracks
 
 T = TypeVar("T")
 MOST_LEVELS = 20  # that are asked for by number; a larger number is a height without its unit
 MOVING = 1000.0  # metres; a geodetic track that gets no farther is a ship at anchor or at its berth
 FINEST, COARSEST = 20.0, 200.0  # metres; the noise of positions, and turns in a channel that must not be cut
+RESTING = 100.0  # metres; a moored ship swings that far, and its positions scatter
 PICTURES = (".png", ".svg", ".pdf")
+STANDARD = Path("-")  # standard input or output
+
+
+def opt(help: str, *names: str) -> Any:
+    """An option whose default is said in its help, or needs no saying."""
+    return typer.Option(*names, help=help, show_default=False)
+
+
+Columns = Annotated[
+    str,
+    opt(
+        "Columns of a table: agent=...,time=...,lon=...,lat=... or x=...,y=...; by position (0, 1, ...) if it has "
+        "no header."
+    ),
+]
+TimeFormat = Annotated[
+    str | None,
+    opt("How a table writes times: s, ms, us, ns since 1970, or like %d/%m/%Y %H:%M; ISO 8601 or seconds without."),
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, for a program to read.")]
 
 
 def wrong(option: str, why: str) -> NoReturn:
@@ -102,13 +130,21 @@ def stop(text: str | None) -> dict[str, Any]:
     return {"stop_radius": length("--stop", radius), "stop_time": duration("--stop", time)}
 
 
-# Where output goes
+# Where input comes from and output goes
+
+
+def input_files(paths: Sequence[Path]) -> None:
+    """Files that are read more than once, so that standard input is none."""
+    if STANDARD in paths:
+        wrong("-", "standard input is read by `wakefold track` only: give files")
 
 
 def model_directory(path: Path) -> Path:
     """A directory that a model may be kept in: a new one, or a stored one that will be replaced."""
     from wakefold.store import MANIFEST, StoreError, check_target
 
+    if path == STANDARD:
+        wrong("--output", "a model is a directory, which standard output is not")
     _outside_models("--output", path)
     if path.exists() and not (path / MANIFEST).is_file():
         wrong("--output", f"{path} exists and is no model")
@@ -116,8 +152,15 @@ def model_directory(path: Path) -> Path:
         check_target(path, "model")
     except StoreError as error:
         wrong("--output", f"{error}")
-    if over := next((folder for folder in path.parents if folder.exists() and not folder.is_dir()), None):
-        wrong("--output", f"{over} is not a directory")
+    _writable("--output", path.absolute().parent)
+    return path
+
+
+def output_directory(option: str, path: Path) -> Path:
+    """A directory that is there or can be made, and in which files can be made."""
+    if path.exists() and not path.is_dir():
+        wrong(option, f"{path} is not a directory")
+    _writable(option, path)
     return path
 
 
@@ -130,7 +173,30 @@ def output_file(option: str, path: Path, *, picture: bool = False) -> Path:
     if not path.parent.is_dir():
         wrong(option, f"there is no directory {path.parent}")
     _outside_models(option, path)
+    if not path.exists():
+        _writable(option, path.parent)
+    elif not os.access(path, os.W_OK):
+        wrong(option, f"{path} cannot be written")
     return path
+
+
+def _writable(option: str, folder: Path) -> None:
+    """Refuse a directory in which no file can be made; of one that is not there yet, the nearest that is, counts."""
+    folder = folder.absolute()
+    there = next(one for one in (folder, *folder.parents) if one.exists())
+    if not there.is_dir():
+        wrong(option, f"{there} is not a directory")
+    try:
+        with tempfile.TemporaryFile(dir=there):
+            pass
+    except OSError as error:
+        wrong(option, f"{there} cannot be written ({error.strerror})")
+
+
+def form_of_name(name: str) -> Form | None:
+    """Of answers, by the ending of their file; None if it says nothing."""
+    forms: dict[str, Form] = {".csv": "csv", ".jsonl": "jsonl", ".ndjson": "jsonl"}
+    return forms.get(Path(name).suffix.lower())
 
 
 def _outside_models(option: str, path: Path) -> None:
@@ -154,9 +220,7 @@ def auto_spacing(tracks: Tracks) -> float | None:
 
     moving = tracks.length > 0
     if tracks.projection is not None:
-        begins = tracks.offsets[:-1]
-        size = np.maximum.reduceat(tracks.points, begins) - np.minimum.reduceat(tracks.points, begins)
-        far = np.linalg.norm(size, axis=1) > MOVING
+        far = _extent(tracks) > MOVING
         moving = far if far.any() else moving
     if not moving.any():
         return None
@@ -169,3 +233,20 @@ def points_after(tracks: Tracks, spacing: float) -> int:
     import numpy as np
 
     return int(np.ceil(tracks.length / spacing).sum()) + 2 * len(tracks)
+
+
+def at_rest(tracks: Tracks) -> str | None:
+    """A remark if most tracks are those of ships that lie still, which say nothing of voyages; None if not."""
+    resting = int((_extent(tracks) <= RESTING).sum())
+    if tracks.projection is None or 2 * resting <= len(tracks):
+        return None
+    return f"{resting:,} of {counted(len(tracks), 'track')} stay within {RESTING:.0f} m; see --stop, --min-length"
+
+
+def _extent(tracks: Tracks) -> np.ndarray:
+    """``(n,)`` metres across the box around each track, from corner to corner."""
+    import numpy as np
+
+    begins = tracks.offsets[:-1]
+    size = np.maximum.reduceat(tracks.points, begins) - np.minimum.reduceat(tracks.points, begins)
+    return np.linalg.norm(size, axis=1)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from wakefold import cli_options
+from wakefold.cli_options import Columns, Json, TimeFormat, opt
 from wakefold.cli_support import guarded, naming, progress, say
 
 if TYPE_CHECKING:
@@ -35,24 +36,23 @@ COLUMNS: list[str] = [
 FORMS = (".csv", ".geojson", ".json")
 
 
-def _opt(help: str, *names: str) -> Any:
-    return typer.Option(*names, help=help, show_default=False)
-
-
 @guarded
 def relations(
     tracks: Annotated[list[Path], typer.Argument(help="Files of tracks; their format is recognised.")],
-    output: Annotated[Path | None, _opt("File for the events: .csv or .geojson.", "-o", "--output")] = None,
-    pictures: Annotated[Path | None, _opt("Directory for a picture of each event of two ships.")] = None,
+    output: Annotated[
+        Path | None, opt("File for the events: .csv, or .geojson or .json for GeoJSON.", "-o", "--output")
+    ] = None,
+    pictures: Annotated[Path | None, opt("Directory for a picture of each event of two ships.")] = None,
     near: Annotated[str, typer.Option(help="Two ships are together within this distance,")] = "500m",
     slow: Annotated[str, typer.Option(help="slower than this,")] = "2kn",
     together: Annotated[str, typer.Option(help="for this long.")] = "30min",
     convoy: Annotated[str, typer.Option(help="Two ships sail in convoy for this long.")] = "20min",
     berth: Annotated[str, typer.Option(help="Around a berth only port visits are told.")] = "250m",
-    berths: Annotated[Path | None, _opt("File of more berths: CSV with lon and lat, or GeoJSON points.")] = None,
+    berths: Annotated[Path | None, opt("File of more berths: CSV with lon and lat, or GeoJSON points.")] = None,
     gap: Annotated[str, typer.Option(help="A ship that is silent for longer is nowhere.")] = "15min",
-    columns: Annotated[str, _opt("Columns of a table: agent=...,time=...,lon=...,lat=... .")] = "",
-    json_: Annotated[bool, typer.Option("--json", help="Print one JSON object, for a program to read.")] = False,
+    columns: Columns = "",
+    time_format: TimeFormat = None,
+    json_: Json = False,
 ) -> None:
     """Find encounters, rendezvous, convoys, loitering and port visits of ships.
 
@@ -66,6 +66,7 @@ def relations(
     from wakefold import events
     from wakefold.places import read_places
 
+    cli_options.input_files(tracks)
     settings = events.Settings(
         near=cli_options.length("--near", near),
         slow=speed("--slow", slow),
@@ -79,11 +80,11 @@ def relations(
         cli_options.output_file("--output", output)
         if output.suffix.lower() not in FORMS:
             cli_options.wrong("--output", f"{output}: the name of the events ends in {', '.join(FORMS)}")
-    if pictures is not None and pictures.exists() and not pictures.is_dir():
-        cli_options.wrong("--pictures", f"{pictures} is not a directory")
+    if pictures is not None:
+        cli_options.output_directory("--pictures", pictures)
     known = read_places(berths) if berths is not None else ()
     with progress("reading") as update:
-        read, report = wf.read_tracks(tracks, columns=names, progress=update)
+        read, report = wf.read_tracks(tracks, columns=names, time_format=time_format, progress=update)
     (say if json_ else print)(str(report))
     if output is not None and output.suffix.lower() != ".csv" and read.projection is None:
         cli_options.wrong("--output", "GeoJSON holds longitude and latitude, and these tracks are planar")

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, NoReturn, ParamSpec
 
 import typer
 
+from wakefold.wording import number_text
+
 if TYPE_CHECKING:
     from wakefold.filtration import Filtration
     from wakefold.model import Model
@@ -134,5 +136,5 @@ def level_table(tree: Filtration) -> str:
     """``level_rows`` for people."""
     lines = [f"{'level (m)':>12}{'classes':>9}{'largest':>9}{'single tracks':>15}"]
     for row in level_rows(tree):
-        lines.append(f"{row['level']:>12,.6g}{row['classes']:>9,}{row['largest']:>9,}{row['single']:>15,}")
+        lines.append(f"{number_text(row['level'], 6):>12}{row['classes']:>9,}{row['largest']:>9,}{row['single']:>15,}")
     return "\n".join(lines)

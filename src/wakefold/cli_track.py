@@ -30,6 +30,7 @@ from wakefold.observations import (
 )
 from wakefold.observations import read as read_feed
 from wakefold.particles import LOST
+from wakefold.wording import counted
 
 if TYPE_CHECKING:
     from wakefold.belief import Belief
@@ -43,10 +44,14 @@ if TYPE_CHECKING:
 
 ROWS = 6  # of the picture
 TOLD = 20  # refused lines that are named
+BACK = 3  # lines of an agent in a row that are earlier than its belief, with rising times: its clock was set right
 
 
 class Crowd:
     """The live agents of a feed and their beliefs.
+
+    One wrong time far ahead must not silence an agent for good: it starts anew with the third line in a row that is
+    earlier than its belief, if the times of the three rise.
 
     Args:
         filter: takes the steps.
@@ -70,8 +75,9 @@ class Crowd:
         self.max_agents, self.say = max_agents, say
         self.max_gap = min(max_gap, longest_step(filter.model))
         self.live: OrderedDict[str, Belief] = OrderedDict()
-        self.agents = self.dropped = 0
+        self.met: set[int] = set()  # hashes of all names: some 60 bytes of each, while live agents are bounded
         self._told_plane = False
+        self._earlier: dict[str, tuple[int, float]] = {}  # of live agents: lines in a row before the belief, the last
 
     def __call__(self, seen: Observation) -> tuple[Answer, Belief]:
         """The belief of the agent after an observation.
@@ -81,7 +87,7 @@ class Crowd:
         """
         coarse, at = seen.coarse(self.filter.model.filtration), self._at(seen)
         before = self.live.get(seen.agent)
-        if before is None or before.time is None or seen.time - before.time > self.max_gap:
+        if before is None or before.time is None or self._anew(seen, before.time):
             after = self.filter.start(fix=seen.fix, time=seen.time, agent=seen.agent)
             event = "start" if before is None else "restart"
             if coarse:
@@ -96,6 +102,16 @@ class Crowd:
         answer = self._answer(seen, event, after)
         self._keep(seen.agent, after)
         return answer, after
+
+    def _anew(self, seen: Observation, last: float) -> bool:
+        """Whether a live agent with a belief of the time ``last`` starts anew: after a long silence, or set back."""
+        if seen.time >= last:
+            self._earlier.pop(seen.agent, None)
+            return seen.time - last > self.max_gap
+        count, earlier = self._earlier.get(seen.agent, (0, seen.time))
+        count = count + 1 if seen.time > earlier else 1
+        self._earlier[seen.agent] = count, seen.time
+        return count >= BACK
 
     def _at(self, seen: Observation) -> np.ndarray | None:
         """Where a fix lies in the plane of the model.
@@ -117,12 +133,13 @@ class Crowd:
         return at
 
     def _keep(self, agent: str, belief: Belief) -> None:
-        self.agents += agent not in self.live
+        self.met.add(hash(agent))
+        self._earlier.pop(agent, None)
         self.live[agent] = belief
         self.live.move_to_end(agent)
         if len(self.live) > self.max_agents:
             oldest, _ = self.live.popitem(last=False)
-            self.dropped += 1
+            self._earlier.pop(oldest, None)
             self.say(f"agent {oldest} dropped: over {self.max_agents:,} live agents (--max-agents)")
 
     def _answer(self, seen: Observation, event: str, belief: Belief) -> Answer:
@@ -195,6 +212,7 @@ def run(
     output: str,
     form: Form | None,
     columns: Columns | None,
+    time_format: str | None,
     agents: frozenset[str],
     album: Album | None,
     progress: Callable[..., None],
@@ -218,9 +236,9 @@ def run(
     if observations == "-":
         lines = numbered_lines(sys.stdin.buffer)
         first = next(lines, (1, b""))
-        given, feed = form_of(first[1]), read_feed(chain([first], lines), columns)
+        given, feed = form_of(first[1]), read_feed(chain([first], lines), columns, time_format)
     else:
-        given, feed, report = feed_of(Path(observations), columns, progress)
+        given, feed, report = feed_of(Path(observations), columns, time_format, progress)
         if report is not None:
             say(str(report))
     form = form or given
@@ -255,8 +273,8 @@ def run(
                 elif refused == TOLD + 1:
                     say("more lines refused, from here on only counted")
         finally:
-            tail = f", {refused:,} lines refused" if refused else ""
-            say(f"{answered:,} observations of {crowd.agents:,} agents answered{tail}")
+            tail = f", {counted(refused, 'line')} refused" if refused else ""
+            say(f"{counted(answered, 'observation')} of {counted(len(crowd.met), 'agent')} answered{tail}")
     if not answered and not refused:
         raise ReadError(f"{observations}: no observation" + (f" of {_named(agents)}" if agents else ""))
     if absent := agents - met:
@@ -290,7 +308,7 @@ def draw(album: Album, model: Model, path: Path) -> None:
 
 
 def feed_of(
-    path: Path, columns: Columns | None, progress: Callable[[int, int], None]
+    path: Path, columns: Columns | None, time_format: str | None, progress: Callable[[int, int], None]
 ) -> tuple[Form, Iterator[Observation | Refused], Report | None]:
     """What a file observes: CSV or JSON lines as they stand, any other format by way of ``read_tracks``.
 
@@ -306,7 +324,7 @@ def feed_of(
 
     def feed() -> Iterator[Observation | Refused]:
         for source in open_sources(path, progress=progress):
-            yield from read_feed(source.lines(), columns)
+            yield from read_feed(source.lines(), columns, time_format)
 
     source = next(iter(open_sources(path)))
     first = next((line for line in source.head.split(b"\n") if line.strip()), b"")
@@ -316,5 +334,5 @@ def feed_of(
         ais = False
     if is_feed(first, columns) and not ais:
         return form_of(first), feed(), None
-    tracks, report = read_tracks(path, columns=columns, progress=progress)
+    tracks, report = read_tracks(path, columns=columns, time_format=time_format, progress=progress)
     return "csv", of_tracks(tracks), report

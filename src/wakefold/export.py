@@ -1,10 +1,16 @@
-"""The filtration for other programs: classes of a level as GeoJSON, merges as a linkage matrix, the tree as Newick."""
+"""The filtration for other programs: classes of a level as GeoJSON, merges as a linkage matrix, the tree as Newick.
+
+The path "-" is standard output.
+"""
 
 from __future__ import annotations
 
 import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 
@@ -26,7 +32,7 @@ def write_classes(tracks: Tracks, tree: Filtration, level: float, path: Path) ->
     places = [np.round(tracks.projection.to_geodetic(points), 6) for points in tracks]
     classes = tree.alive(level)
     sizes = tree.hi[classes] - tree.lo[classes]
-    with path.open("w", encoding="utf-8") as file:
+    with _opened(path) as file:
         file.write('{"type": "FeatureCollection", "features": [')
         for count, c in enumerate(classes[np.argsort(-sizes, kind="stable")].tolist()):
             members = sorted(tree.members(c).tolist())
@@ -49,12 +55,24 @@ def write_linkage(tree: Filtration, path: Path) -> None:
         np.save(path, z)
         return
     rows = [f"{int(a)},{int(b)},{height!r},{int(size)}\n" for a, b, height, size in z.tolist()]
-    path.write_text("left,right,height,tracks\n" + "".join(rows), encoding="utf-8")
+    with _opened(path) as file:
+        file.write("left,right,height,tracks\n" + "".join(rows))
 
 
 def write_newick(tree: Filtration, path: Path) -> None:
     """One line of Newick."""
-    path.write_text(tree.newick() + "\n", encoding="utf-8")
+    with _opened(path) as file:
+        file.write(tree.newick() + "\n")
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[TextIO]:
+    """The file to write; "-" is standard output, which stays open."""
+    if path == Path("-"):
+        yield sys.stdout
+        return
+    with path.open("w", encoding="utf-8") as file:
+        yield file
 
 
 def _line(lonlat: np.ndarray) -> list[list[float]]:

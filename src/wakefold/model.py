@@ -14,6 +14,7 @@ from wakefold import store
 from wakefold.dynamics import Dynamics, Noise
 from wakefold.filtration import Filtration, Linkage
 from wakefold.tracks import Tracks
+from wakefold.wording import number_text
 
 KIND = "model"
 SETTINGS = ("epsilon", "noise", "scale")  # of the dynamics; all else follows from the tracks
@@ -45,7 +46,7 @@ class Model:
         d = self.dynamics
         return (
             f"Model({len(self.tracks):,} tracks, {len(self.filtration.birth) - len(self.tracks):,} merged classes, "
-            f"epsilon {d.epsilon:.3g}, {d.noise} noise {d.scale:.3g}, sd {self.sd:.3g})"
+            f"epsilon {number_text(d.epsilon)}, {d.noise} noise {number_text(d.scale)}, sd {number_text(self.sd)})"
         )
 
     def _repr_html_(self) -> str:

@@ -19,7 +19,7 @@ import numpy as np
 from wakefold.evidence import CoarseClass, Evidence, Fix
 from wakefold.io.report import ReadError, listed
 from wakefold.io.tables import recognised
-from wakefold.io.times import number, parse
+from wakefold.io.times import formatted, number, parse, within
 
 if TYPE_CHECKING:
     from wakefold.filtration import Filtration
@@ -108,13 +108,16 @@ def header_problem(first: bytes, columns: Mapping[str, str | int] | None = None)
 
 
 def read(
-    lines: Iterable[tuple[int, bytes]], columns: Mapping[str, str | int] | None = None
+    lines: Iterable[tuple[int, bytes]],
+    columns: Mapping[str, str | int] | None = None,
+    time_format: str | None = None,
 ) -> Iterator[Observation | Refused]:
     """Observations of a feed, as its lines come.
 
     Args:
         lines: numbers from 1, and texts with or without their ends; blank ones are skipped.
         columns: the feed's names of fields, by ours, where they do not speak for themselves.
+        time_format: see ``wakefold.io.times``.
 
     Raises:
         ReadError: the header of a CSV feed does not say who and when.
@@ -132,7 +135,7 @@ def read(
     names = _Names(columns or {})
     for line, row in rows:
         try:
-            yield _observation(line, row if isinstance(row, str) else names(row))
+            yield _observation(line, row if isinstance(row, str) else names(row), time_format)
         except ValueError as error:
             yield Refused(line, str(error))
 
@@ -242,7 +245,7 @@ class _Names:
 # Fields to an observation
 
 
-def _observation(line: int, row: Mapping[str, Any] | str) -> Observation:
+def _observation(line: int, row: Mapping[str, Any] | str, time_format: str | None) -> Observation:
     if isinstance(row, str):
         raise ValueError(row)
     agent = row.get("agent", row.get("track"))
@@ -254,9 +257,13 @@ def _observation(line: int, row: Mapping[str, Any] | str) -> Observation:
         raise ValueError(f"agent: {_echo(agent)} is not text")
     if "time" not in row:
         raise ValueError("time: missing")
-    time = parse(row["time"])
+    time = parse(row["time"]) if time_format is None else formatted(str(row["time"]), time_format)
     if not math.isfinite(time):
-        raise ValueError(f"time: {_echo(row['time'])} is neither ISO 8601 nor a number of seconds")
+        wanted = "neither ISO 8601 nor a number of seconds" if time_format is None else f"not like {time_format}"
+        raise ValueError(f"time: {_echo(row['time'])} is {wanted}")
+    if not within(time):
+        hint = " (is it in seconds? see --time-format)" if time_format is None else ""
+        raise ValueError(f"time: {_echo(row['time'])} lies outside the years 1 to 9999{hint}")
     class_ = _class(row["class"]) if "class" in row else None
     level, confidence = _number(row, "level"), _number(row, "confidence")
     if level is not None and level < 0:
@@ -345,7 +352,8 @@ class Answer(NamedTuple):
 
     Attributes:
         event: "start" of an agent, "step", "recovery" (lost, started anew from the fix) or "restart" after a long
-            silence; instead of each "off-map" if the estimate lies more than 6 sd from the fix all the same.
+            silence or where times went back; instead of each "off-map" if the estimate lies more than 6 sd from the fix
+            all the same.
         ahead: (seconds, place) of each forecast.
     """
 

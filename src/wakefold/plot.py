@@ -29,7 +29,6 @@ from wakefold.plot_map import (
     STYLE,
     box_around,
     draw_lines,
-    duration_text,
     ground,
     length_text,
     lines_of,
@@ -39,6 +38,7 @@ from wakefold.plot_map import (
 from wakefold.plot_scene import relations
 from wakefold.plot_tree import dendrogram
 from wakefold.tracks import Tracks
+from wakefold.wording import duration_text
 
 __all__ = ["Ahead", "Moment", "beliefs", "event", "filtration", "forecast", "relations", "save", "tracks"]
 

@@ -23,7 +23,6 @@ from wakefold.plot_map import (
     Box,
     box_around,
     draw_lines,
-    duration_text,
     ground,
     length_text,
     lines_of,
@@ -31,6 +30,7 @@ from wakefold.plot_map import (
     styled,
 )
 from wakefold.tracks import Tracks
+from wakefold.wording import duration_text
 
 
 class Moment(NamedTuple):

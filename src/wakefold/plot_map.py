@@ -16,8 +16,10 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
+from wakefold import wording
 from wakefold.projection import Projection
 from wakefold.tracks import Tracks
+from wakefold.wording import number_text
 
 P = ParamSpec("P")
 Floats = NDArray[np.float64]
@@ -108,16 +110,8 @@ def ground(
 
 
 def length_text(length: float, projection: Projection | None) -> str:
-    """A length for people: "250 m", "12.3 km"; a bare number in the plane's own units without a projection."""
-    if projection is None:
-        return f"{length:.3g}"
-    return f"{length / 1000:.3g} km" if length >= 1000 else f"{length:.3g} m"
-
-
-def duration_text(seconds: float) -> str:
-    if seconds < 60:
-        return f"{seconds:.3g} s"
-    return f"{seconds / 60:.2g} min" if seconds < 600 else f"{seconds / 60:.0f} min"
+    """A length for people; a bare number in the plane's own units without a projection."""
+    return number_text(length) if projection is None else wording.length_text(length)
 
 
 def lines_of(tracks: Tracks, box: Box, pixels: int = 3000) -> list[Floats]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from wakefold import ragged
 from wakefold.projection import Projection
 from wakefold.units import Duration, Length, Time, metres, seconds, timestamp
+from wakefold.wording import counted
 
 if TYPE_CHECKING:
     from wakefold.tracks import Tracks
@@ -113,12 +114,12 @@ def segment(
     every = take(tracks, cut.rows, cut.offsets, cut.track, ids)
     every = replace(every, attributes={**every.attributes, "agent": _agents(tracks)[cut.track]})
     short = every.lengths < min_points
-    notes = [f"segment: {len(tracks):,} tracks cut into {len(every):,} pieces"]
+    notes = [f"segment: {counted(len(tracks), 'track')} cut into {counted(len(every), 'piece')}"]
     if not moving.all():
-        notes.append(f"segment: {(~moving).sum():,} points in stops left out")
+        notes.append(f"segment: {counted((~moving).sum(), 'point')} in stops left out")
     if short.any():
-        lost = every.lengths[short].sum()
-        notes.append(f"segment: {short.sum():,} pieces of under {min_points} points left out ({lost:,} points)")
+        pieces, points = counted(short.sum(), "piece"), counted(every.lengths[short].sum(), "point")
+        notes.append(f"segment: {pieces} of under {min_points} points left out ({points})")
     return _noted(every.select(~short), notes)
 
 

@@ -87,7 +87,8 @@ def write_tracks(tracks: Tracks, path: str | PathLike[str], format: str | None =
         format: "csv", "parquet" or "geojson"; by the ending of the name without it.
 
     Raises:
-        ValueError: no such format; planar tracks as GeoJSON, which knows longitude and latitude only; 1-D tracks.
+        ValueError: no such format; planar tracks as GeoJSON, which knows longitude and latitude only; 1-D tracks; an
+            id that would be read back as another (blanks around it, "7.0"), or in CSV a text with a line end.
     """
     from wakefold.io.write import write
 

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from wakefold.io import times
 from wakefold.io.records import Floats, Latest, Rows, Static, as_text, last_rows
 from wakefold.io.report import ReadError, Report, Tally
 from wakefold.io.rules import Mask, grouping, jumps, project, repeated, sort_times, starts, taken
@@ -18,6 +19,9 @@ from wakefold.tracks import Tracks
 
 MAX_GEODETIC_SPEED = 60.0
 """Metres per second (117 knots): faster than any ship, slower than most wrong positions imply."""
+LATE = (
+    "{n} times lie beyond the year 2100: if they are not in seconds, say so by time_format (--time-format), such as ms"
+)
 
 
 FARTHEST = 1e12
@@ -60,7 +64,8 @@ class Collector:
             time = np.full(n, np.nan)
         else:
             time = rows.time
-            good = self._refuse("no time", np.isfinite(time), good, rows)
+            good = self._refuse("no time", times.within(time), good, rows)
+            self.tally.note(LATE, int((time > times.YEAR_2100).sum()))
         if rows.geodetic:
             lon, lat = rows.position
             here = (np.abs(lon) <= 180) & (np.abs(lat) <= 90)  # NaN is not
@@ -126,7 +131,7 @@ class Collector:
     def _code(self, value: Any) -> int:
         """Number of an agent given by its value in a file."""
         if value not in self._seen:
-            name = _identity(value)
+            name = identity(value)
             self._seen[value] = self._codes.setdefault(name, len(self._codes)) if name else -1
         return self._seen[value]
 
@@ -229,7 +234,7 @@ class _Sorted:
             self.position = [p[mask] for p in self.position]
 
 
-def _identity(value: Any) -> str:
+def identity(value: Any) -> str:
     """Name of an agent; whole numbers that were made floats on their way (``367000140.0``) without the fraction."""
     text = as_text(value)
     return str(int(float(text))) if re.fullmatch(r"\d{1,15}\.\d*(e\+?\d\d?)?", text) and float(text) % 1 == 0 else text

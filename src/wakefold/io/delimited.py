@@ -237,8 +237,8 @@ class _Parser:
         lines = numbers
         if bad:
             text = raw.split(b"\n")
-            wrong = [(int(numbers[i]), as_text(text[numbers[i] - first])) for i in bad]
-            broken = [*broken, *(line for line in wrong if line[1])]  # a line of spaces is a blank line
+            wrong = [(int(numbers[i]), text[numbers[i] - first].strip()) for i in bad]
+            broken = [*broken, *((n, decoded(line)) for n, line in wrong if line)]  # a line of spaces is a blank line
             lines = np.delete(numbers, bad)
         return Block(columns, lines, sorted(broken), raw, first)
 

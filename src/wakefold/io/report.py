@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any, NamedTuple
 
+from wakefold.wording import counted
+
 SHOWN = 5
 """Offending lines kept for each reason."""
 CLIP = 160
@@ -54,7 +56,7 @@ class Report:
 
     def __str__(self) -> str:
         files = self.files[0] if len(self.files) == 1 else f"{len(self.files)} files"
-        lines = [f"{files}: {self.format}, {self.rows:,} rows read, {self.kept:,} kept"]
+        lines = [f"{files}: {self.format}, {counted(self.rows, 'row')} read, {self.kept:,} kept"]
         for reason, count in sorted(self.rejected.items(), key=lambda item: -item[1]):
             lines.append(f"  {count:,} rejected: {reason}")
             lines += [f"    {o.file}:{o.line}: {o.text}" for o in self.offences.get(reason, ())]

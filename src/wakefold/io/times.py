@@ -26,6 +26,9 @@ Floats = NDArray[np.float64]
 
 PER_SECOND = {"s": 1, "ms": 1000, "us": 10**6, "ns": 10**9}
 """Units of numeric times."""
+EARLIEST, LATEST = -62_135_596_800.0, 253_402_300_800.0
+"""The years 1 to 9999. Nothing else is a time: it is a damaged line, or not in seconds."""
+YEAR_2100 = 4_102_444_800.0
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d{1,3})?")
 PLAIN = r"^\d{4}-\d\d-\d\d[T ][0-2]\d:[0-5]\d:[0-5]\d(\.\d{1,6})?$"
 _OFFSET = re.compile(r"\d(Z|[+-]\d\d:?\d\d)$")
@@ -94,6 +97,11 @@ def parse(value: Any) -> float:
         except (ValueError, OverflowError):
             pass
     return seconds
+
+
+def within(seconds: Any) -> Any:
+    """Whether times lie in the years 1 to 9999; NaN does not."""
+    return (seconds >= EARLIEST) & (seconds < LATEST)
 
 
 def number(value: Any) -> float:

@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
+from wakefold.io.collect import identity
 from wakefold.tracks import Tracks
 
 FORMATS = {".csv": "csv", ".parquet": "parquet", ".geojson": "geojson", ".json": "geojson"}
@@ -19,6 +20,8 @@ FORMATS = {".csv": "csv", ".parquet": "parquet", ".geojson": "geojson", ".json":
 def write(tracks: Tracks, path: Path, format: str | None) -> None:
     """See ``wakefold.io.write_tracks``."""
     format = FORMATS.get(path.suffix.lower()) if format is None else format
+    if format in FORMATS.values():
+        _check_names(tracks, lines=format == "csv")
     if format == "csv":
         pyarrow.csv.write_csv(_table(tracks), path)
     elif format == "parquet":
@@ -29,6 +32,21 @@ def write(tracks: Tracks, path: Path, format: str | None) -> None:
         raise ValueError(
             f"tracks are written as {', '.join(sorted(set(FORMATS.values())))}, not {format or path.name!r}"
         )
+
+
+def _check_names(tracks: Tracks, lines: bool) -> None:
+    """Refuse ids that would be read back as others, and with ``lines`` texts that would break their line.
+
+    Raises:
+        ValueError: such an id or text.
+    """
+    texts = {"id": tracks.ids, **{name: v for name, v in tracks.attributes.items() if v.dtype.kind == "U"}}
+    for name, values in texts.items():
+        for value in dict.fromkeys(values.tolist()):
+            if name == "id" and (not value or identity(value) != value):
+                raise ValueError(f"the track id {value!r} would be read back as {identity(value)!r}: give it another")
+            if lines and ("\n" in value or "\r" in value):
+                raise ValueError(f"the {name} {value!r} has a line end, which a CSV file cannot hold")
 
 
 def _table(tracks: Tracks) -> pa.Table:

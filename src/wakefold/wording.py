@@ -1,0 +1,26 @@
+"""Numbers for people: lengths, durations and counts, without exponents."""
+
+from __future__ import annotations
+
+
+def number_text(value: float, digits: int = 3) -> str:
+    """So many digits, or the whole number where that takes more of them: "0.25", "12.3", "1,810"."""
+    text = f"{value:,.{digits}g}"
+    return f"{value:,.0f}" if "e+" in text and abs(value) < 1e15 else text
+
+
+def length_text(metres: float) -> str:
+    """ "250 m", "12.3 km"."""
+    return f"{number_text(metres / 1000)} km" if metres >= 1000 else f"{number_text(metres)} m"
+
+
+def duration_text(seconds: float) -> str:
+    """ "45 s", "2.5 min", "1,440 min"."""
+    if seconds < 60:
+        return f"{number_text(seconds)} s"
+    return f"{seconds / 60:.2g} min" if seconds < 600 else f"{seconds / 60:,.0f} min"
+
+
+def counted(count: int, noun: str) -> str:
+    """ "1 track", "2,000 tracks"."""
+    return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
