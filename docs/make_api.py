@@ -56,7 +56,7 @@ def page() -> str:
         if inspect.isclass(thing):
             for inner, member in members(thing):
                 lines += entry(f"{name}.{inner}", member if isinstance(member, property) else getattr(thing, inner), 3)
-    from wakefold import company, datasets, events, places, plot, relations, relations_fit, scene, walkers
+    from wakefold import company, datasets, events, places, plot, relations, relations_fit, reunion, scene, walkers
     from wakefold.filters import phases
 
     relational = [name for name in relations.__all__ if name not in wakefold.__all__]
@@ -66,8 +66,13 @@ def page() -> str:
         ("What ships do together", events, ["find", "Settings", "Event", "Found"]),
         ("Lists of places", places, ["read_places"]),
         ("People, followed", walkers, ["follow", "Walkers"]),
-        ("Who walks with whom", relations_fit, ["crowd", "Crowd", "fit", "TogetherFit", "SceneConstants"]),
-        ("What company tells", company, ["hide", "Beside", "learn_company", "Company", "beside", "reunite", "Reunion"]),
+        (
+            "Who walks with whom",
+            relations_fit,
+            ["crowd", "Crowd", "fit", "TogetherFit", "SceneConstants", "learn_soon", "Soon"],
+        ),
+        ("What company tells", company, ["hide", "Beside", "learn_company", "Company", "beside"]),
+        ("Who is who at return", reunion, ["reunite", "Window", "learn_reunion", "Reunion"]),
         ("Two objects, phase by phase", phases, ["Phase", "Turn", "PhaseFilter", "PairPhases"]),
         ("Pictures", plot, plot.__all__),
         ("Data of the papers", datasets, datasets.__all__),

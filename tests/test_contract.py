@@ -37,7 +37,7 @@ STOREYS = [
     ["spanning"],
     ["search"],
     ["dendrogram", "distance", "features"],
-    ["company"],
+    ["company", "reunion"],
     ["walkers"],
     ["stops"],
     ["tracks", "shaping"],

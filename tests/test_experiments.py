@@ -146,6 +146,9 @@ def test_results_are_kept_and_an_interrupted_run_goes_on(tmp_path, monkeypatch):
     jobs = [simulate.job(OUT, method, TINY) for method in LOG[:3]]
     seen = []
     first = runner.run_all([*jobs, jobs[0]], tmp_path, Threads(1), seen.append)
+    each = [runner.seconds([job], tmp_path) for job in jobs]
+    assert min(each) > 0
+    assert runner.seconds([*jobs, jobs[0]], tmp_path) == pytest.approx(sum(each))
     assert first[0] == first[3]
     assert len(list(tmp_path.iterdir())) == 3
     assert seen[-1] == 1
@@ -171,6 +174,7 @@ def test_results_hang_on_the_code_and_on_all_of_the_specification(monkeypatch):
 def test_the_code_a_result_hangs_on_is_what_its_module_imports(tmp_path, monkeypatch):
     (tmp_path / "experiments").mkdir()
     files = {"experiments/one.py": "from wakefold.part import x", "part.py": "import wakefold.deep", "deep.py": "x = 1"}
+    files["__init__.py"] = "from wakefold.apart import y"  # what the package offers, no result hangs on
     for name, text in {**files, "apart.py": "y = 1"}.items():
         (tmp_path / name).write_text(text)
     monkeypatch.setattr(runner, "SOURCE", tmp_path)

@@ -1,6 +1,9 @@
 """MHPF, BL1 and BL2 against the definitions of docs/algorithm.md, written as loops in naive.py."""
 
+import copy
 import math
+import pickle
+from datetime import date, datetime
 
 import naive
 import numpy as np
@@ -503,3 +506,41 @@ def test_a_model_of_one_track(model):
             belief = f.step(belief, [wf.Fix(one.tracks[0][k]), wf.CoarseClass(0)], dt=1.0)
         assert np.linalg.norm(belief.mean() - one.tracks[0][5]) < 0.5
         assert belief.map(0.0) == 0
+
+
+@pytest.mark.parametrize("make", [wf.MHPF, wf.BL1, wf.BL2, wf.Calibrated])
+def test_a_belief_about_other_classes_is_refused_and_a_copy_of_a_filter_is_as_good(make):
+    rng = np.random.default_rng(0)
+    small, large = (
+        wf.learn(wf.Tracks.from_arrays([np.cumsum(rng.normal(1, 1, (20, 2)), axis=0) for _ in range(n)]))
+        for n in (5, 60)
+    )
+    f, belief = make(small, seed=1), make(large).start()
+    for ask in (lambda: f.step(belief, [], dt=1.0), lambda: f.forecast(belief, 3.0)):
+        with pytest.raises(ValueError, match="another filtration"):
+            ask()
+    start = f.start(time=0.0)
+    once = f.step(start, [wf.Fix((1.0, 1.0), sd=1.0)], dt=1.0)
+    for again in (pickle.loads(pickle.dumps(f)), copy.deepcopy(f)):  # noqa: S301 -- to worker processes
+        twice = again.step(pickle.loads(pickle.dumps(start)), [wf.Fix((1.0, 1.0), sd=1.0)], dt=1.0)  # noqa: S301
+        assert (twice.points == once.points).all()
+        assert (twice.log_weights == once.log_weights).all()
+
+
+@pytest.mark.parametrize(
+    "time",
+    [
+        "2020-01-01",
+        date(2020, 1, 1),
+        datetime(2020, 1, 1),  # without a zone: UTC
+        *(np.datetime64("2020-01-01", unit) for unit in ("D", "m", "ns")),
+    ],
+)
+def test_a_time_is_a_time_in_any_form(time, model):
+    assert wf.BL1(model).start(time=time).time == 1_577_836_800.0
+
+
+@pytest.mark.parametrize("time", ["now", np.nan, np.datetime64("NaT")])
+def test_what_is_no_time_is_refused(time, model):
+    with pytest.raises(ValueError, match="is not a time"):
+        wf.BL1(model).start(time=time)

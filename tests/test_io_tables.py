@@ -188,3 +188,11 @@ def test_several_files_continue_tracks(tmp_path):
 def test_real_tables(shared_data, name, options, tracks, points):
     found, report = wio.read_tracks(shared_data(name), **options)
     assert (len(found), report.rows, report.kept) == (tracks, points, points)
+
+
+def test_positions_out_of_this_world_are_rejected(tmp_path):
+    path = tmp_path / "far.csv"
+    path.write_text("agent,time,x,y\na,0,1,1\na,1,1e200,1\na,2,2,-1e13\na,3,2,2\n")
+    tracks, report = wio.read_tracks(path)
+    assert tracks.points.tolist() == [[1.0, 1.0], [2.0, 2.0]]
+    assert report.rejected == {"no position": 2}

@@ -5,7 +5,16 @@ import pytest
 
 from wakefold.experiments import rendezvous, rendezvous_report
 from wakefold.experiments.rendezvous_filter import phases, together
-from wakefold.experiments.rendezvous_rivals import Motion, Rule, f1, kalman, near_and_slow, position_error, threshold
+from wakefold.experiments.rendezvous_rivals import (
+    Motion,
+    Nearness,
+    Rule,
+    f1,
+    kalman,
+    near_and_slow,
+    position_error,
+    threshold,
+)
 from wakefold.experiments.rendezvous_scenes import DT, HARD, STEPS, scenes
 
 
@@ -24,7 +33,7 @@ def test_near_and_slow_counts_the_longest_time_without_a_break():
     position[0, 1, :, 0] = 1000.0
     position[0, 1, 10:50, 0] = 100.0
     velocity[0, 0, 20, 0] = 9.0
-    assert near_and_slow(Motion(position, velocity), Rule(500.0, 2.0)).tolist() == [29 * DT]
+    assert near_and_slow(Nearness.of(Motion(position, velocity)), Rule(500.0, 2.0)).tolist() == [29 * DT]
 
 
 @pytest.mark.parametrize(("missing", "least"), [(0.0, 0.95), (0.6, 0.9)])

@@ -1,6 +1,7 @@
 """Stored directories: back bit for bit, and anything else refused."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -140,3 +141,29 @@ def test_nothing_is_unpickled(tmp_path, stored):
     )
     with pytest.raises(StoreError, match="not a readable array"):
         store.load(stored, "thing")
+
+
+@pytest.mark.parametrize("nth", [1, 2])
+def test_ctrl_c_between_the_renames_leaves_what_was_there(tmp_path, monkeypatch, nth):
+    target = tmp_path / "kept"
+    store.save(target, {"x": np.arange(3)}, {}, "thing")
+    rename, calls = Path.rename, []
+
+    def interrupted(self, to):
+        calls.append(to)
+        if len(calls) == nth:
+            raise KeyboardInterrupt
+        return rename(self, to)
+
+    monkeypatch.setattr(Path, "rename", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        store.save(target, {"x": np.arange(4)}, {}, "thing")
+    monkeypatch.undo()
+    assert store.load(target, "thing")[0]["x"].tolist() == [0, 1, 2]
+    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
+
+
+def test_a_store_has_the_permissions_of_any_directory(tmp_path):
+    store.save(tmp_path / "kept", {"x": np.arange(3)}, {}, "thing")
+    (tmp_path / "plain").mkdir()
+    assert (tmp_path / "kept").stat().st_mode == (tmp_path / "plain").stat().st_mode

@@ -1,3 +1,6 @@
+import copy
+import pickle
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -216,3 +219,13 @@ def test_a_notebook_shows_tracks_without_letting_their_names_in():
     for track in ([[1.0, 2.0]], [1.0, 3.0], [[0.0, 0, 0], [0.0, 0, 1]]):
         assert "nan" not in Tracks.from_arrays([track])._repr_html_()
     assert "0 tracks" in many.select([])._repr_html_()
+
+
+def test_tracks_can_be_copied_and_sent_to_other_processes():
+    tracks = Tracks.from_arrays([np.zeros((2, 2)), np.ones((3, 2))], ids=["a", "b"])
+    for again in (copy.deepcopy(tracks), pickle.loads(pickle.dumps(tracks))):  # noqa: S301 -- to worker processes
+        assert again.ids.tolist() == ["a", "b"]
+        assert (again.points == tracks.points).all()
+        assert dict(again.attributes).keys() == dict(tracks.attributes).keys()
+        with pytest.raises(ValueError, match="read-only"):
+            again.points[0] = 1.0

@@ -1,13 +1,17 @@
 """Who walks with whom: pairs against plain loops, constants against scenes whose groups are known by construction."""
 
+from itertools import permutations
+
 import numpy as np
 import pytest
 
-from wakefold.company import Reunion, beside, hide, learn_company, reunite
+from wakefold.company import beside, hide, learn_company
 from wakefold.experiments import walking
 from wakefold.experiments.registry import QUICK
 from wakefold.experiments.walking_rivals import Logistic, Rule, f1, features
-from wakefold.relations_fit import crowd, fit
+from wakefold.kernels import reunion as kernel
+from wakefold.relations_fit import Soon, crowd, fit, learn_soon
+from wakefold.reunion import Reunion, Window, learn_reunion, reunite
 from wakefold.tracks import Tracks
 from wakefold.walkers import DIFFERENCE, SPACING, follow, ghost_pairs, looks, pairs_of, running, steps
 
@@ -187,17 +191,90 @@ def test_a_partner_in_sight_tells_where_the_hidden_one_is(trained):
     assert error < 0.5 * ((rows.alone - rows.truth)[first] ** 2).sum(axis=2).mean()
 
 
+def test_those_believed_too_little_tell_nothing(trained):
+    walkers, people, truth = trained[0]
+    nobody = np.zeros(people.pairs.offsets[-1])
+    rows = hide(walkers, people.pairs, nobody, truth)
+    assert rows.together.all()
+    assert len(rows.frame) > 50  # the moments are there all the same
+    sure = [hide(w, c.pairs, np.ones(c.pairs.offsets[-1]), y) for w, c, y in trained]
+    first, place = beside(rows, learn_company(sure))
+    assert np.array_equal(place, rows.alone[first])
+
+
+def test_beliefs_that_are_too_small_are_set_right(trained):
+    rng = np.random.default_rng(5)
+    pairs = [people.pairs for _, people, _ in trained]
+    truth = [rng.random(len(p.first)) < 0.3 for p in pairs]
+    odds = [rng.normal(2.0 * np.repeat(y, np.diff(p.offsets)) - 1.0) for y, p in zip(truth, pairs, strict=True)]
+    right = [2.0 * z + np.log(0.3 / 0.7) for z in odds]  # of two normal densities, by Bayes
+    told = learn_soon([1.0 / (1.0 + np.exp(3.0 - 0.5 * z)) for z in right], pairs, truth)
+    assert told.slope == pytest.approx(2.0, rel=0.15)
+    assert told.offset == pytest.approx(6.0, rel=0.15)
+    assert Soon(1.0, 0.0).surer(np.array([0.2, 0.9])) == pytest.approx([0.2, 0.9])
+
+
 def test_those_who_left_together_come_back_together():
     position = np.array([[0.0, 0.0], [0.0, 0.8], [0.0, 4.0]])
     velocity = np.array([[1.0, 0.0]] * 3)
     back = np.array([[8.0, 2.0], [8.0, 2.8], [8.0, 0.2]])  # the two have gone round the third
+    window = Window(position, velocity, back, 8.0)
     together = np.zeros((3, 3))
     together[0, 1] = together[1, 0] = 0.95
-    settings = Reunion(q=0.3)
-    assert reunite(position, velocity, back, 8.0, None, settings).tolist() != [0, 1, 2]
-    assert reunite(position, velocity, back, 8.0, together, settings).tolist() == [0, 1, 2]
-    alone = reunite(position, velocity, back, 8.0, np.zeros((3, 3)), settings)
-    assert alone.tolist() == reunite(position, velocity, back, 8.0, None, settings).tolist()
+    assert reunite(window, None, Reunion()).tolist() != [0, 1, 2]
+    assert reunite(window, together, Reunion()).tolist() == [0, 1, 2]
+    alone = reunite(window, np.zeros((3, 3)), Reunion())
+    assert alone.tolist() == reunite(window, None, Reunion()).tolist()
+
+
+def test_two_who_have_turned_have_turned_about_each_other():
+    """They walked east, the first on the left, and come back in the north: the first is on the left, in the west."""
+    position, velocity = np.array([[0.0, 0.5], [0.0, -0.5], [20.0, 20.0]]), np.array([[1.0, 0.0]] * 2 + [[0.0, 0.0]])
+    back = np.array([[-0.5, 8.0], [0.5, 8.0], [20.0, 20.0]])
+    together = np.zeros((3, 3))
+    together[0, 1] = together[1, 0] = 0.95
+    for order in ([0, 1, 2], [1, 0, 2]):
+        window = Window(position, velocity, back[order], 8.0)
+        assert reunite(window, together, Reunion()).tolist() == order
+
+
+def test_exchanges_visit_assignments_as_often_as_they_are_probable():
+    rng = np.random.default_rng(3)
+    n, first, second = 5, np.array([1, 3, 4]), np.array([0, 2, 2])  # a two and a three
+    own, tie = rng.normal(size=(n, n)), rng.normal(size=(3, n, n))
+    exact, total = np.zeros((n, n)), 0.0
+    for names in permutations(range(n)):
+        at = np.array(names)
+        w = np.exp(own[np.arange(n), at].sum() + tie[np.arange(3), at[first], at[second]].sum())
+        exact[np.arange(n), at] += w
+        total += w
+    begin, member = np.array([0, 1, 2, 4, 5, 6]), np.array([0, 0, 1, 2, 1, 2])
+    count = np.zeros((n, n))
+    for _ in range(5):
+        draws = rng.random((400_000, 5))
+        kernel.exchange(own, tie, first, second, begin, member, np.arange(n), draws, 10_000, 0.2, count)
+    assert np.abs(count / count.sum(axis=1, keepdims=True) - exact / total).max() < 0.01
+
+
+def test_how_offsets_change_is_learned_from_those_who_are_together():
+    rng = np.random.default_rng(4)
+
+    def window(sd):
+        x = rng.uniform(0, 20, (10, 2)) * np.array([1.0, 0.0])
+        two = x + np.array([0.0, 1.0])
+        both = np.concatenate([x, two])
+        pairs = np.zeros((20, 20))
+        pairs[np.arange(10), np.arange(10) + 10] = pairs[np.arange(10) + 10, np.arange(10)] = 1.0
+        return Window(both, np.zeros((20, 2)), both + rng.normal(0, sd / np.sqrt(2), (20, 2)), 8.0), pairs
+
+    def scale(settings):
+        return np.hypot(settings.slack + settings.by_spacing, 0.1)  # of those who stand a metre apart
+
+    near, far = (scale(learn_reunion([[window(sd) for _ in range(30)]])) for sd in (0.3, 0.8))
+    assert near == pytest.approx(0.3, rel=0.2)
+    assert far == pytest.approx(0.8, rel=0.3)
+    with pytest.raises(ValueError, match="together"):
+        learn_reunion([[(window(0.3)[0], np.zeros((20, 20)))]])
 
 
 def test_calibration_counts():

@@ -151,7 +151,7 @@ def _told(model: Model, beside: Deviation, track: int, rivals: Ints) -> Floats:
         beside.advance(dynamics, points, covs, spreads, classes, float(dt))
         components.correct(points, covs, fix, model.sd**2 + dynamics.floor**2, log_g[k], dynamics.dims)
     sums = np.cumsum(log_g, axis=0).reshape(len(log_g), len(rivals), len(ratios))
-    return logsumexp(sums, axis=2)
+    return np.asarray(logsumexp(sums, axis=2))
 
 
 def _others(model: Model, track: int, held_out: int) -> tuple[list[int], Floats]:

@@ -118,7 +118,8 @@ class CoarseClass:
         birth, death = float(tree.birth[self.class_]), float(tree.death[self.class_])
         level = birth if self.level is None else float(self.level)
         if not birth <= level < death:
-            there = int(alive_classes(tree, np.array([self.class_]), level)[0])
+            first = tree.order[tree.lo[self.class_]]
+            there = int(alive_classes(tree, np.array([first]), level)[0])
             raise ValueError(
                 f"class {self.class_} is alive from {birth:g} to {death:g}, not at level {level:g}; "
                 f"there class {there} holds its tracks"
@@ -131,8 +132,11 @@ Evidence = Fix | CoarseClass
 
 def alive_classes(tree: Filtration, classes: NDArray[np.int64], level: float) -> NDArray[np.int64]:
     """The class alive at a level that holds each of ``classes`` (n,), none of them born after the level."""
-    alive = tree.alive(level)
-    return alive[np.searchsorted(tree.lo[alive], tree.lo[classes], side="right") - 1]
+    from wakefold.kernels.dendrogram import climb
+
+    out = np.empty(len(classes), dtype=np.int64)
+    climb(classes, tree.parent, tree.death, float(level), out)
+    return out
 
 
 def coarse_log_g(
@@ -145,10 +149,10 @@ def coarse_log_g(
     """
     if family == "log":
         distance = np.asarray(tree.tree_distance(classes, item.class_), dtype=np.float64)
-        scaled = np.clip(distance / diagonal if diagonal > 0 else np.sign(distance), 1e-4, 1.0)
-        g = -np.log(scaled)
+        scaled = distance / diagonal if diagonal > 0 else np.sign(distance)
+        g = -np.log(np.minimum(np.maximum(scaled, 1e-4), 1.0))
     else:
-        others = len(tree.cuts(level)) - 2
+        others = np.count_nonzero(tree.gaps > level)
         if others == 0:
             return np.zeros(len(classes))
         g = np.where(classes == item.class_, item.confidence, (1.0 - item.confidence) / others)

@@ -195,6 +195,10 @@ class Filtration:
         """Number of tracks, M."""
         return len(self.order)
 
+    def same_as(self, other: Filtration) -> bool:
+        """Whether the tracks, by number, and their classes are the same."""
+        return np.array_equal(self.order, other.order) and np.array_equal(self.gaps, other.gaps)
+
     @property
     def root(self) -> int:
         """The class of all tracks."""
@@ -287,13 +291,16 @@ class Filtration:
         Returns:
             metres; a float for two numbers, otherwise an array.
         """
-        a, b = np.broadcast_arrays(np.asarray(a, dtype=np.int64), np.asarray(b, dtype=np.int64))
-        if a.size and not (min(a.min(), b.min()) >= 0 and max(a.max(), b.max()) <= self.root):
+        from wakefold.kernels.dendrogram import joined_at
+
+        a, b = np.asarray(a, dtype=np.int64), np.asarray(b, dtype=np.int64)
+        if b.ndim == 0:  # a filter asks so at every report, and ``broadcast_arrays`` alone takes 10 µs
+            b = np.full(a.shape, b)
+        elif a.shape != b.shape:
+            a, b = map(np.array, np.broadcast_arrays(a, b))
+        found = np.empty(a.shape)
+        if not joined_at(self.lo, self.hi, self._range_maxima, a.ravel(), b.ravel(), found.reshape(-1)):
             raise ValueError(f"classes run from 0 to {self.root}")
-        # The smallest class that holds both is born at the largest gap of the range that spans both.
-        start = np.minimum(self.lo[a], self.lo[b])
-        stop = np.where(a == b, start, np.maximum(self.hi[a], self.hi[b]) - 1)
-        found = dendrogram.largest_between(self._range_maxima, start, stop)
         return float(found) if found.ndim == 0 else found
 
     def medoid(self, c: int, tracks: Tracks, limit: int = 1000) -> int:

@@ -9,7 +9,7 @@ from wakefold.dendrogram import range_maxima
 from wakefold.features import Boxes, boxes_of, in_lanes
 from wakefold.parallel import thread_map
 from wakefold.search import TrackIndex
-from wakefold.spanning import _grow as spanning_forest
+from wakefold.spanning import grown_forest
 from wakefold.tracks import Floats, Tracks
 
 Ints = NDArray[np.int64]
@@ -47,12 +47,12 @@ def grown_tree(
     by = np.argsort(gaps)
     first = np.concatenate([order[:-1][by], len(old) + pairs[:, 0]])
     second = np.concatenate([order[1:][by], pairs[:, 1]])
-    forest = spanning_forest(None, first, second, np.concatenate([gaps[by], heights]), len(old) + len(new))
+    forest = grown_forest(None, first, second, np.concatenate([gaps[by], heights]), len(old) + len(new))
 
     rank = forest.rank[len(old) :]
     pairs, heights = _edges(*asking, rank, new, of_new, in_lanes(of_new), rank, forest.maxima, scale, threads)
     pairs += len(old)
-    forest = spanning_forest(forest, pairs[:, 0], pairs[:, 1], heights, len(old) + len(new))
+    forest = grown_forest(forest, pairs[:, 0], pairs[:, 1], heights, len(old) + len(new))
     return np.stack([forest.first, forest.second], axis=1), forest.heights
 
 

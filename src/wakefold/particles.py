@@ -10,7 +10,6 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
@@ -20,8 +19,10 @@ from wakefold.belief import Belief
 from wakefold.evidence import CoarseClass, Family, Fix, alive_classes, coarse_log_g
 from wakefold.kernels import motion, random
 from wakefold.kernels import particles as kernel
+from wakefold.units import Time, timestamp
 
 if TYPE_CHECKING:
+    from wakefold.filtration import Filtration
     from wakefold.model import Model
     from wakefold.tracks import Tracks
 
@@ -42,23 +43,17 @@ def agent_key(seed: int, agent: str | None) -> NDArray[np.uint64]:
     return np.random.SeedSequence([seed, *name]).generate_state(2, np.uint64).astype(np.uint64)
 
 
-def as_seconds(time: float | str | datetime) -> float:
-    """Seconds UTC since 1970 from a number, a datetime (naive means UTC) or ISO 8601 text.
+def check_tree(belief: Belief, tree: Filtration) -> None:
+    """Refuse a belief about the classes of another model, whose numbers mean nothing in this one.
 
     Raises:
-        ValueError: text that is no time, or a number that is not finite.
+        ValueError: it is of another filtration.
     """
-    if isinstance(time, str):
-        time = datetime.fromisoformat(time)
-    if isinstance(time, datetime):
-        time = (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
-    seconds = float(time)
-    if not math.isfinite(seconds):
-        raise ValueError(f"time must be finite, got {seconds}")
-    return seconds
+    if belief.tree is not tree and not belief.tree.same_as(tree):
+        raise ValueError("the belief is about the classes of another filtration: start a new one with this filter")
 
 
-def elapsed(belief: Belief, dt: float | None, time: float | str | datetime | None) -> tuple[float, float | None]:
+def elapsed(belief: Belief, dt: float | None, time: Time | None) -> tuple[float, float | None]:
     """Length of a step (s) and the time at its end, from ``dt`` or the time of the evidence.
 
     Raises:
@@ -69,7 +64,7 @@ def elapsed(belief: Belief, dt: float | None, time: float | str | datetime | Non
     if time is None:
         assert dt is not None
         return float(dt), None if belief.time is None else belief.time + float(dt)
-    now = as_seconds(time)
+    now = timestamp(time)
     if belief.time is None:
         return 0.0, now
     if now < belief.time:
@@ -187,7 +182,7 @@ class ParticleFilter:
         *,
         fix: Fix | None = None,
         at: Literal["any", "begin"] = "any",
-        time: float | str | datetime | None = None,
+        time: Time | None = None,
         agent: str | None = None,
     ) -> Belief:
         """The prior belief about an agent: class uniform over the tracks, time uniform along the track.
@@ -195,7 +190,7 @@ class ParticleFilter:
         Args:
             fix: draw from the points of all tracks instead, in proportion to the likelihood of this fix.
             at: "any" time along the tracks, or their "begin" (as in the papers).
-            time: of the belief, seconds UTC, a datetime or ISO 8601 text.
+            time: of the belief, seconds UTC, a date, datetime or datetime64, or ISO 8601 text.
             agent: a name; agents of different names draw different random numbers from the same seed.
         """
         if at not in ("any", "begin"):
@@ -212,7 +207,7 @@ class ParticleFilter:
         if not self.single:
             classes = np.full(self.particles, tree.root)
         evidence = None if self.likelihood == "log" else 0.0
-        now = None if time is None else as_seconds(time)
+        now = None if time is None else timestamp(time)
         return Belief(tree, points, classes, self._even, key, time=now, log_evidence=evidence)
 
     @overload
@@ -227,6 +222,7 @@ class ParticleFilter:
         """
         one = isinstance(horizon, (int, float))
         horizons = [float(horizon)] if one else [float(h) for h in horizon]
+        check_tree(belief, self.model.filtration)
         points, done, out = belief.points.copy(), 0.0, []
         for leg, h in enumerate(horizons):
             if not h >= done:
@@ -245,6 +241,7 @@ class ParticleFilter:
         Under ``ess_threshold`` both happen only when the effective sample size falls below that share of N.
         """
         count, key, step = self.particles, belief.key, belief.step + 1
+        check_tree(belief, self.model.filtration)
         if len(belief.points) != count:
             raise ValueError(f"the belief has {len(belief.points)} particles, the filter {count}")
         if self.ess_threshold is not None and belief.ess >= self.ess_threshold * count:
@@ -324,9 +321,5 @@ class ParticleFilter:
 def along(tracks: Tracks, chosen: Ints, share: Floats) -> Floats:
     """Positions ``(N, d)`` at a share of the duration of each of the chosen tracks (N,)."""
     out = np.empty((len(chosen), tracks.dim))
-    for track in np.unique(chosen):
-        rows, times = np.flatnonzero(chosen == track), tracks.times_of(int(track))
-        at = times[0] + share[rows] * (times[-1] - times[0])
-        for k, column in enumerate(tracks[int(track)].T):
-            out[rows, k] = np.interp(at, times, column)
+    kernel.along(tracks.points, tracks.times, tracks.offsets, chosen, share, out)
     return out

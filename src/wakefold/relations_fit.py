@@ -11,6 +11,7 @@ of it that ``RelationalFilter`` can follow.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -38,6 +39,7 @@ UNIT = 20.0  # frames; a pair seen for n frames counts as (n / UNIT) ** (1 - fad
 ROUNDS = 12  # of learning a scene's constants in turn
 REPEATS = 3  # of fitting weights and shifts in turn
 FARTHEST = 6.0  # most that a scene shifts the log-odds
+MOMENTS = np.unique(np.rint(5 * 1.35 ** np.arange(20)).astype(np.int64))  # frames at which beliefs over time are judged
 CELLS = 18, 12  # between the outermost knots of spacing and of the difference of velocities, in a relation's evidence
 
 
@@ -251,6 +253,50 @@ def fit(
     friends = logistic(np.concatenate(known)[:, ::-1], labels, heavy, np.zeros(len(labels)), 0.01)[::-1]
     friends = np.ascontiguousarray(friends)
     return TogetherFit(fade, trust, online, weights, friends, float(np.mean(means)), between, max(within, 0.05))
+
+
+class Soon(NamedTuple):
+    """How much surer the log-odds over time should be; made by ``learn_soon``.
+
+    Attributes:
+        slope, offset: of the log-odds.
+    """
+
+    slope: float
+    offset: float
+
+    def surer(self, belief: Floats) -> Floats:
+        """Beliefs over time, corrected."""
+        return _odds(self.slope * _log_odds(belief) + self.offset)
+
+
+def learn_soon(beliefs: Sequence[Floats], pairs: Sequence[Together], together: Sequence[Bools]) -> Soon:
+    """Weights are learned from whole tracks, so that beliefs of the first seconds are too small: by how much.
+
+    Logistic regression on the log-odds at moments ever further apart; scenes weigh as in ``fit``. The beliefs must
+    come from constants of other scenes, or they look better than they are.
+
+    Args:
+        beliefs: ``(R,)`` for each scene, of ``TogetherFit.over_time``.
+        pairs: of each scene.
+        together: ``(K,)`` for each scene, whether each of its pairs is together.
+    """
+    odds, labels, importance = [], [], []
+    for p, who, y in zip(beliefs, pairs, together, strict=True):
+        at = who.offsets
+        pair = np.repeat(np.arange(len(y)), np.diff(at))
+        taken = np.flatnonzero(np.isin(np.arange(at[-1]) - at[pair] + 1, MOMENTS))
+        label = y[pair[taken]]
+        odds.append(_log_odds(p[taken]))
+        labels.append(label)
+        importance.append(np.full(len(taken), 10.0 / np.sqrt(max(label.sum(), 1))))
+    x = np.column_stack([np.concatenate(odds), np.ones(sum(map(len, odds)))])
+    slope, offset = logistic(x, np.concatenate(labels), np.concatenate(importance), np.zeros(len(x)), 0.3)
+    return Soon(float(slope), float(offset))
+
+
+def _log_odds(p: Floats) -> Floats:
+    return np.log(np.maximum(p, 1e-6)) - np.log(np.maximum(1.0 - p, 1e-6))
 
 
 class _Terms(NamedTuple):

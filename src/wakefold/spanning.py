@@ -219,7 +219,7 @@ def _begin(directory: Directory | None, fingerprint: str, order: Ints) -> tuple[
             sound = False
         if not sound:
             raise store.StoreError(f"{os.fspath(directory)} is damaged: not a forest of these tracks")
-    return _grow(None, first, second, heights, count), settled
+    return grown_forest(None, first, second, heights, count), settled
 
 
 def _tiles(boxes: Boxes, pieces: int) -> Ints:
@@ -278,7 +278,7 @@ def _evaluate(work: Work, order: Ints, a: Ints, b: Ints, bound: Floats, forest: 
         if len(first):
             tell = partial(_tell, progress, begin / len(a), start / len(a))
             heights = _distances(work, work.points, order[first], order[second], tell)
-            forest = _grow(forest, first, second, heights, len(order))
+            forest = grown_forest(forest, first, second, heights, len(order))
         size += size // 2
     return forest
 
@@ -296,7 +296,7 @@ def _sift(work: Work, order: Ints, a: Ints, b: Ints, forest: Forest) -> NDArray[
     """
     distance = np.ldexp(_distances(work, work.singles, order[a], order[b], lambda share: None), work.exponent)
     error = 2.0**-23 * (work.extent + 4 * distance)  # twice what docs/filtration.md derives: it has the exact distance
-    trial = _grow(forest, a, b, distance + error, len(order))
+    trial = grown_forest(forest, a, b, distance + error, len(order))
     return trial.joined_at(a, b) >= distance - error
 
 
@@ -326,7 +326,7 @@ def _measure(pairs: Ints, points: Floats, offsets: Ints) -> Floats:
     return out
 
 
-def _grow(forest: Forest | None, first: Ints, second: Ints, heights: Floats, count: int) -> Forest:
+def grown_forest(forest: Forest | None, first: Ints, second: Ints, heights: Floats, count: int) -> Forest:
     """The minimum spanning forest of a forest's edges and some more, with its dendrogram."""
     from wakefold.kernels.frechet_tree import grow_forest
 

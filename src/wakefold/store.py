@@ -48,8 +48,10 @@ def save(directory: str | os.PathLike[str], arrays: Mapping[str, np.ndarray], me
     target = Path(directory)
     check_target(target, kind)
     target.parent.mkdir(parents=True, exist_ok=True)
-    parts = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+    private = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+    parts = private / "new"  # an ordinary directory inside the private one: a store has the permissions of any file
     try:
+        parts.mkdir()
         entries = {name: _write_array(parts, name, np.asarray(array)) for name, array in arrays.items()}
         manifest = {
             "format": FORMAT,
@@ -61,12 +63,9 @@ def save(directory: str | os.PathLike[str], arrays: Mapping[str, np.ndarray], me
         manifest["sha256"] = _digest(manifest)
         text = json.dumps(manifest, indent=1, allow_nan=False, sort_keys=True) + "\n"
         _write(parts / MANIFEST, text.encode())
-        umask = os.umask(0)
-        os.umask(umask)
-        parts.chmod(0o777 & ~umask)  # mkdtemp makes private directories; a store is an ordinary one
         _replace(parts, target)
     finally:
-        shutil.rmtree(parts, ignore_errors=True)
+        shutil.rmtree(private, ignore_errors=True)
 
 
 def check_target(directory: str | os.PathLike[str], kind: str) -> None:
@@ -126,14 +125,13 @@ def _replace(parts: Path, target: Path) -> None:
         parts.rename(target)
         return
     aside = Path(tempfile.mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+    old = aside / "old"
     try:
-        target.rename(aside / "old")
-        try:
-            parts.rename(target)
-        except OSError:
-            (aside / "old").rename(target)
-            raise
+        target.rename(old)
+        parts.rename(target)
     finally:
+        if old.exists() and not target.exists():  # interrupted in between, by Ctrl-C for one
+            old.rename(target)
         shutil.rmtree(aside, ignore_errors=True)
 
 

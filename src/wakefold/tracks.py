@@ -90,6 +90,11 @@ class Tracks:
         put(self, "attributes", _frozen(self.attributes))
         put(self, "columns", _frozen(self.columns))
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """For pickle and copy, which know no read-only tables."""
+        tables = dict(self.attributes), dict(self.columns)
+        return Tracks, (self.points, self.times, self.offsets, self.ids, self.projection, *tables, self.notes)
+
     @staticmethod
     def _refuse(bad: NDArray[np.bool_], offsets: NDArray[np.int64], ids: NDArray[np.str_], what: str) -> None:
         if bad.any():

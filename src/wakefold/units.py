@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, date, datetime, timedelta
 
 import numpy as np
 
 Duration = float | str | timedelta | np.timedelta64
 Length = float | str
-Time = float | str | datetime | np.datetime64
+Time = float | str | date | np.datetime64  # a datetime is a date
 
 _SECONDS = {"ms": 1e-3, "s": 1.0, "sec": 1.0, "second": 1.0, "min": 60.0, "minute": 60.0}
 _SECONDS |= {"h": 3600.0, "hr": 3600.0, "hour": 3600.0, "d": 86400.0, "day": 86400.0}
@@ -41,7 +41,7 @@ def metres(length: Length) -> float:
 
 
 def timestamp(time: Time) -> float:
-    """A moment in seconds UTC since 1970: 1.6e9, "2020-12-08", "2020-12-08T06:30:00Z", a datetime.
+    """A moment in seconds UTC since 1970: 1.6e9, "2020-12-08", "2020-12-08T06:30:00Z", a date, datetime or datetime64.
 
     A time that names no zone is UTC.
 
@@ -55,6 +55,8 @@ def timestamp(time: Time) -> float:
             raise ValueError(f'{time!r} is not a time such as "2020-12-08" or "2020-12-08T06:30:00Z"') from None
     if isinstance(time, datetime):
         return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
+    if isinstance(time, date):
+        return datetime(time.year, time.month, time.day, tzinfo=UTC).timestamp()
     if isinstance(time, np.datetime64):
         time = float((time - np.datetime64(0, "s")) / np.timedelta64(1, "s"))
     if not math.isfinite(time):

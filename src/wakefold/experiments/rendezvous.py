@@ -20,6 +20,7 @@ from wakefold.experiments.registry import Job, Section, Size
 from wakefold.experiments.rendezvous_filter import phases, together
 from wakefold.experiments.rendezvous_rivals import (
     Motion,
+    Nearness,
     Rule,
     States,
     decoded,
@@ -65,10 +66,10 @@ EVEN = "the same, more likely than not"  # no threshold learned
 
 def best_rule(taught: Mapping[float, Motion], positive: NDArray[np.bool_]) -> tuple[float, Rule, float]:
     """The Kalman noise, the limits and the time that tell the training scenes best; of equals the median."""
-    tried = []
+    tried, ships = [], {q: Nearness.of(taught[q]) for q in QS}
     for q, distance, speed in product(QS, NEAR, SLOW):
         rule = Rule(distance, speed)
-        at = threshold(near_and_slow(taught[q], rule), positive)
+        at = threshold(near_and_slow(ships[q], rule), positive)
         tried.append((at.f1, q, rule, at.score))
     most = max(t[0] for t in tried)
     good = [t for t in tried if t[0] >= most - 1e-12]
@@ -90,7 +91,7 @@ def split(spec: Mapping[str, Any]) -> dict[str, Any]:
     out[COLLAPSED] = f1(theirs > threshold(scores, taught.positive).score, judged.positive)
     smoothed = {q: (kalman(taught, sd, q, smooth=True), kalman(judged, sd, q, smooth=True)) for q in QS}
     q, rule, least = best_rule({q: views[0] for q, views in smoothed.items()}, taught.positive)
-    out[THEIRS] = f1(near_and_slow(smoothed[q][1], rule) > least, judged.positive)
+    out[THEIRS] = f1(near_and_slow(Nearness.of(smoothed[q][1]), rule) > least, judged.positive)
     filtered = kalman(taught, sd, Q, smooth=False), kalman(judged, sd, Q, smooth=False)
     views = {"received": (received(taught), received(judged)), "filtered": filtered, "smoothed": smoothed[Q]}
     for name in spec["models"]:

@@ -90,6 +90,18 @@ def position_error(position: Floats, scenes: Scenes) -> float:
 # The rule
 
 
+class Nearness(NamedTuple):
+    """How far apart two ships are, metres, and how fast the faster one is, m/s: ``(n, T)``."""
+
+    distance: Floats
+    speed: Floats
+
+    @classmethod
+    def of(cls, view: Motion) -> Nearness:
+        apart = view.position[:, 0] - view.position[:, 1]
+        return cls(np.linalg.norm(apart, axis=-1), np.linalg.norm(view.velocity, axis=-1).max(axis=1))
+
+
 class Rule(NamedTuple):
     """Near and slow for a while.
 
@@ -102,14 +114,12 @@ class Rule(NamedTuple):
     slow: float
 
 
-def near_and_slow(view: Motion, rule: Rule) -> Floats:
+def near_and_slow(ships: Nearness, rule: Rule) -> Floats:
     """``(n,)`` seconds of the longest time without a break that two ships were near and slow."""
-    distance = np.linalg.norm(view.position[:, 0] - view.position[:, 1], axis=-1)
-    speed = np.linalg.norm(view.velocity, axis=-1).max(axis=1)
-    holds = (distance < rule.near) & (speed < rule.slow)
+    holds = (ships.distance < rule.near) & (ships.speed < rule.slow)
     run, longest = np.zeros(len(holds)), np.zeros(len(holds))
-    for t in range(holds.shape[1]):
-        run = (run + 1) * holds[:, t]
+    for now in holds.T:
+        run = (run + 1) * now
         np.maximum(longest, run, out=longest)
     return longest * DT
 
@@ -119,8 +129,7 @@ def near_and_slow(view: Motion, rule: Rule) -> Floats:
 
 def features(view: Motion) -> list[Floats]:
     """Of each scene ``(T, 3)``: logarithms of the distance, of the faster ship's speed, of the relative speed."""
-    distance = np.linalg.norm(view.position[:, 0] - view.position[:, 1], axis=-1)
-    speed = np.linalg.norm(view.velocity, axis=-1).max(axis=1)
+    distance, speed = Nearness.of(view)
     relative = np.linalg.norm(view.velocity[:, 0] - view.velocity[:, 1], axis=-1)
     return list(np.log(np.stack([distance + 10.0, speed + 0.1, relative + 0.1], axis=-1)))
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from wakefold.experiments.page import page
 from wakefold.experiments.registry import FIGURES, Section, Size, experiment
-from wakefold.experiments.runner import run_all
+from wakefold.experiments.runner import run_all, seconds
 from wakefold.parallel import Executor
 
 
@@ -43,7 +43,11 @@ def reproduce(
     for name, module in chosen:
         own: list[Any] = results[taken : taken + len(work[name])]
         taken += len(own)
-        sections.append(module.report(own, size, out))
+        section = module.report(own, size, out)
+        if own:
+            spent = seconds(work[name], out / "results")
+            section = section._replace(notes=[*section.notes, f"The runs took {spent:.0f} seconds of CPU time."])
+        sections.append(section)
         for claim in sections[-1].claims:
             verdict = "" if size.quick or not claim.verdict else f" [{claim.verdict}]"
             say(f"{name}: {claim.claim}: {claim.ours}{f'; {claim.test}' if claim.test else ''}{verdict}")

@@ -6,6 +6,7 @@ import ast
 import hashlib
 import json
 import os
+import time
 from collections.abc import Callable, Sequence
 from functools import cache
 from importlib import import_module
@@ -24,7 +25,8 @@ def code_digest(module: str) -> str:
 
     Results of other code are not taken up again; code that no result depends on, such as pages, may change.
     """
-    digest, seen, waiting = hashlib.sha256(), set(), [f"wakefold.experiments.{module}"]
+    # The package itself is left out: it offers everything.
+    digest, seen, waiting = hashlib.sha256(), {"wakefold"}, [f"wakefold.experiments.{module}"]
     while waiting:
         name = waiting.pop()
         file = SOURCE.joinpath(*name.split(".")[1:])
@@ -56,7 +58,7 @@ def run_all(
     """Results of the jobs, in their order; each different job runs once, and not at all if its result is kept.
 
     Args:
-        kept: directory of results, one JSON file each; made if need be.
+        kept: directory of results, one JSON file each, with the CPU seconds it took; made if need be.
         progress: called with the share of the cost that is done.
     """
     kept.mkdir(parents=True, exist_ok=True)
@@ -65,13 +67,19 @@ def run_all(
     # The dearest first, so that no core waits long for the last one; jobs alike stay together, as they share models.
     ordered = sorted(todo.items(), key=lambda item: -item[1].cost)
     executor.map(_run, [(job.run, dict(job.spec), str(file)) for file, job in ordered], progress=progress)
-    return [json.loads(file.read_text()) for file in files]
+    return [json.loads(file.read_text())["result"] for file in files]
+
+
+def seconds(jobs: Sequence[Job], kept: Path) -> float:
+    """CPU time that jobs took, each different one counted once; those of ``kept`` that ``run_all`` has done."""
+    return sum(json.loads((kept / f"{name}.json").read_text())["seconds"] for name in {key(job) for job in jobs})
 
 
 def _run(item: tuple[str, dict[str, Any], str]) -> None:
     name, spec, file = item
     module, function = name.split(":")
-    result = getattr(import_module(f"wakefold.experiments.{module}"), function)(spec)
+    run, begin = getattr(import_module(f"wakefold.experiments.{module}"), function), time.thread_time()
+    result = run(spec)
     unfinished = Path(f"{file}.{os.getpid()}")
-    unfinished.write_text(json.dumps(result, allow_nan=False))
+    unfinished.write_text(json.dumps({"seconds": time.thread_time() - begin, "result": result}, allow_nan=False))
     unfinished.replace(file)

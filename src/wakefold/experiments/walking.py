@@ -16,11 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wakefold.company import Beside, Company, Reunion, beside, hide, learn_company, reunite
+from wakefold.company import Beside, Company, beside, hide, learn_company
 from wakefold.experiments.registry import Job, Section, Size
 from wakefold.experiments.walking_rivals import Logistic, Rule, f1, features, within
 from wakefold.io.pedestrians import FRAME, SCENES, PedestrianScene, read_scenes
-from wakefold.relations_fit import Crowd, SceneConstants, TogetherFit, crowd, fit
+from wakefold.relations_fit import Crowd, SceneConstants, TogetherFit, crowd, fit, learn_soon
+from wakefold.reunion import Window, learn_reunion, reunite
 from wakefold.walkers import Walkers, follow
 
 TITLE = "Real people: who walks with whom"
@@ -28,9 +29,8 @@ WHERE = "WAKEFOLD_PEDESTRIANS"
 
 FADES, RIDGES, TRUSTS = (0.3, 0.5), (0.3, 1.0), (0.5, 1.0)
 WANDERS = (0.15, 0.25, 0.35, 0.5)  # q of the constant-velocity forecast, m/s per square root of a second
-COUNTS = (0.3, 1.0), (2.0, 4.0)  # lift and power with which partners count
-NOBODY = Company(np.zeros((12, 15)), 0.0, 2.0)  # tells nothing: constant velocity
-REUNIONS = tuple(Reunion(q, slack, least) for q, slack, least in product((0.15, 0.2, 0.3), (0.7, 1.0), (0.02, 0.05)))
+COUNTS = (1.0, 2.0), (4.0, 6.0)  # lift and power with which partners count
+NOBODY = Company(np.zeros((12, 16)), 0.0, 2.0)  # tells nothing: constant velocity
 DARK = 20  # frames: 8 s
 RESAMPLES = 1000
 
@@ -144,6 +144,7 @@ def recognise(test: Known, others: list[Known], rng: np.random.Generator) -> tup
     spread = {name: [f1(truth[d], x[d]) for d in draws] for name, x in found.items()}
     near = test.crowd.looks.closest < 3.0
     beliefs = {k.scene.name: over_time(k, [o for o in others if o is not k], settings) for k in others}
+    soon = learn_soon(list(beliefs.values()), [k.crowd.pairs for k in others], [k.truth for k in others])
     beliefs[test.scene.name] = constants.over_time(test.walkers, test.crowd, own)
     causal = beliefs[test.scene.name][test.crowd.pairs.offsets[1:] - 1]
     return {
@@ -159,13 +160,14 @@ def recognise(test: Known, others: list[Known], rng: np.random.Generator) -> tup
         "second_half": second_half(test, constants, own),
         "own_labels": within(test.table, truth, seed=int(rng.integers(2**31))),
         "settings": settings,
+        "soon": list(soon),
         "rule": [rule.distance, rule.difference, rule.share],
         "logistic": [rival.columns, rival.ridge, rival.cut],
         "spacing": [float(np.exp(constants.spacing)), float(np.exp(own.spacing)), own.spacing_sd, own.shift],
         "true_spacing": float(np.exp(test.crowd.looks.log_spacing[truth].mean())),
         "calibration": calibration(p[near], truth[near]),
         "calibration_logistic": calibration(rival.probability(test.table)[near], truth[near]),
-    }, beliefs
+    }, {name: soon.surer(p) for name, p in beliefs.items()}
 
 
 def second_half(test: Known, constants: TogetherFit, own: SceneConstants) -> dict[str, float]:
@@ -199,34 +201,34 @@ def hidden(test: Known, others: list[Known], beliefs: Mapping[str, Floats], rng:
     """One member of a group hidden for 4.8 s with a partner in sight: squared error beside constant velocity.
 
     q is the one at which constant velocity does best on the training scenes; how partners count is the way that does
-    best on all of them, each with what is learned from the others.
+    best on all of them, each with what is learned from the others. Learned at every frame, judged at every sixth.
     """
 
-    def moments(k: Known, q: float) -> Beside:
+    def moments(k: Known, q: float, told: bool, every: int) -> Beside:
         walkers = follow(k.scene.tracks, FRAME, q=q)
-        return hide(walkers, k.crowd.pairs, beliefs[k.scene.name], k.truth)
+        pairs = k.crowd.pairs
+        sure = np.repeat(k.truth, np.diff(pairs.offsets)).astype(np.float64)
+        return hide(walkers, pairs, sure if told else beliefs[k.scene.name], k.truth, every=every)
 
-    def alone(moments: Beside) -> float:
-        seen = moments.rows(moments.together)
+    def alone(k: Known, q: float) -> float:
+        seen = moments(k, q, True, 6)
         return float(((seen.alone - seen.truth) ** 2).sum(axis=2).mean())
 
-    train = {q: [moments(k, q) for k in others] for q in WANDERS}
-    q = min(WANDERS, key=lambda q: np.mean([alone(m) for m in train[q]]))
+    q = min(WANDERS, key=lambda q: np.mean([alone(k, q) for k in others]))
     out: dict[str, Any] = {"q": q}
     for name, told in (("believed", False), ("told", True)):
-        known = [m.rows(m.together) if told else m for m in train[q]]
+        known = [_accompanied(moments(k, q, told, 1)) for k in others]
 
         def score(how: tuple[float, float], known: list[Beside] = known) -> float:
             ours = 0.0
             for i, one in enumerate(known):
                 company = learn_company([k for j, k in enumerate(known) if j != i], lift=how[0], power=how[1])
-                ours += float(_errors_of(_accompanied(one), company).sum())
+                ours += float(_errors_of(one, company).sum())
             return ours
 
         how = min(product(*COUNTS), key=score)
         company = learn_company(known, lift=how[0], power=how[1])
-        rows = moments(test, q)
-        rows = rows.rows(rows.together) if told else rows
+        rows = moments(test, q, told, 6)
         members = _accompanied(rows)
         first, _ = beside(members, company)
         ours, plain = _errors_of(members, company), _errors_of(members, NOBODY)
@@ -256,34 +258,31 @@ def blackout(
     test: Known, others: list[Known], beliefs: Mapping[str, Floats], rng: np.random.Generator
 ) -> dict[str, Any]:
     """Everybody who stays is hidden for 8 s and comes back without a name: share of wrong names."""
-    cases = {k.scene.name: _dark(k, beliefs[k.scene.name]) for k in (*others, test)}
-
-    def wrong(name: str, settings: Reunion, which: str) -> Floats:
-        return np.array([_errors(case, settings, which) for case in cases[name]], dtype=np.float64).reshape(-1, 2)
-
-    best: dict[str, Reunion] = {}
-    for which in ("plain", "believed"):
-
-        def score(settings: Reunion, which: str = which) -> float:
-            both = np.concatenate([wrong(k.scene.name, settings, which) for k in others])
-            return float(both[:, 0].sum() / both[:, 1].sum())
-
-        best[which] = min(REUNIONS if which == "believed" else REUNIONS[:1], key=score)
-    plain = wrong(test.scene.name, best["plain"], "plain")
-    out: dict[str, Any] = {"settings": list(best["believed"]), "windows": len(plain), "people": int(plain[:, 1].sum())}
-    windows = np.arange(len(plain))
+    known = [[(window, truth) for window, _, truth in _dark(k, beliefs[k.scene.name], every=2)] for k in others]
+    settings = learn_reunion(known)
+    cases = _dark(test, beliefs[test.scene.name])
+    wrong: dict[str, Floats] = {}
+    for which in ("plain", "believed", "told"):
+        found = [
+            reunite(window, {"plain": None, "believed": belief, "told": truth}[which], settings, seed=number)
+            for number, (window, belief, truth) in enumerate(cases)
+        ]
+        wrong[which] = np.array([float((who != np.arange(len(who))).sum()) for who in found])
+    people = sum(len(window.found) for window, *_ in cases)
+    out: dict[str, Any] = {"settings": list(settings), "windows": len(cases), "people": people}
     for which in ("believed", "told"):
-        ours = wrong(test.scene.name, best["believed"], which)
-        out[which] = _ratio(ours[:, 0], plain[:, 0], windows, rng)
-        out[which]["error"] = float(ours[:, 0].sum() / ours[:, 1].sum())
-    out["plain"] = float(plain[:, 0].sum() / plain[:, 1].sum())
+        out[which] = _ratio(wrong[which], wrong["plain"], np.arange(len(cases)), rng)
+        out[which]["error"] = float(wrong[which].sum() / people)
+    out["plain"] = float(wrong["plain"].sum() / people)
     return out
 
 
-def _dark(k: Known, belief: Floats, every: int = 10, before: int = 5) -> list[tuple[Floats, ...]]:
-    """Windows of 8 s in which at least three people stay: last position and velocity, return, belief, truth."""
+def _dark(k: Known, belief: Floats, every: int = 10, before: int = 5) -> list[tuple[Window, Floats, Floats]]:
+    """Windows of 8 s in which at least three people stay, with the belief in each two and the truth."""
     w, pairs = k.walkers, k.crowd.pairs
     n, out = len(w.ids), []
+    truth = np.zeros((n, n))
+    truth[pairs.first[k.truth], pairs.second[k.truth]] = 1.0
     for frame in range(int(w.begin.min()) + before, int(w.end.max()) - DARK, every):
         stay = np.flatnonzero((w.begin <= frame - before) & (w.end > frame + DARK))
         if len(stay) < 3:
@@ -292,20 +291,13 @@ def _dark(k: Known, belief: Floats, every: int = 10, before: int = 5) -> list[tu
         back = w.seen[row + DARK + 1]
         if not np.isfinite(back).all():
             continue
-        p, truth = np.zeros((n, n)), np.zeros((n, n))
+        p = np.zeros((n, n))
         now = np.flatnonzero((pairs.begin < frame) & (pairs.end >= frame))
         p[pairs.first[now], pairs.second[now]] = belief[pairs.offsets[now] + frame - 1 - pairs.begin[now]]
-        truth[pairs.first[k.truth], pairs.second[k.truth]] = 1.0
         both = np.ix_(stay, stay)
-        out.append((w.position[row], w.velocity[row], back, (p + p.T)[both], (truth + truth.T)[both]))
+        window = Window(w.position[row], w.velocity[row], back, (DARK + 1) * FRAME)
+        out.append((window, (p + p.T)[both], (truth + truth.T)[both]))
     return out
-
-
-def _errors(case: tuple[Floats, ...], settings: Reunion, which: str) -> tuple[int, int]:
-    position, velocity, back, belief, truth = case
-    known = {"plain": None, "believed": belief, "told": truth * 0.97}[which]
-    who = reunite(position, velocity, back, (DARK + 1) * FRAME, known, settings)
-    return int((who != np.arange(len(who))).sum()), len(who)
 
 
 def _ratio(ours: Floats, plain: Floats, of: NDArray, rng: np.random.Generator) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from wakefold.experiments import walking
 from wakefold.experiments.registry import Claim, Picture, Section, Table
 from wakefold.io.pedestrians import FRAME
 from wakefold.plot_map import INK, PALETTE
+from wakefold.relations_fit import Soon
 
 BARS = {"eth": 0.72, "hotel": 0.85, "zara01": 0.90, "students03": 0.86}  # pairwise F1 aimed at
 MOMENT = 30.0  # seconds shown before the moment of the picture
@@ -29,7 +30,7 @@ def section(title: str, results: list[dict[str, Any]], folder: Path) -> Section:
     ]
     root = walking.data_directory()
     if root is not None:
-        by_name = {r["scene"]: r["recognition"]["settings"] for r in results}
+        by_name = {r["scene"]: r["recognition"] for r in results}
         pictures += [
             Picture(
                 _scene(str(root), "students03", by_name["students03"], folder / "walking-scene.png"),
@@ -195,15 +196,16 @@ def _reliability(results: list[dict[str, Any]], file: Path) -> Path:
     return file
 
 
-def _learned(root: str, name: str, settings: dict[str, float]) -> tuple[walking.Known, np.ndarray]:
+def _learned(root: str, name: str, recognised: dict[str, Any]) -> tuple[walking.Known, np.ndarray]:
     everybody = walking.scenes(root)
     test = next(k for k in everybody if k.scene.name == name)
-    return test, walking.over_time(test, [k for k in everybody if k is not test], settings)
+    belief = walking.over_time(test, [k for k in everybody if k is not test], recognised["settings"])
+    return test, Soon(*recognised["soon"]).surer(belief)
 
 
-def _scene(root: str, name: str, settings: dict[str, float], file: Path) -> Path:
+def _scene(root: str, name: str, recognised: dict[str, Any], file: Path) -> Path:
     """The people of a scene at its middle, their last seconds, and edges between those who may be together."""
-    test, belief = _learned(root, name, settings)
+    test, belief = _learned(root, name, recognised)
     w, pairs, at = test.walkers, test.crowd.pairs, test.crowd.pairs.offsets
     now = int(w.end.max()) // 2
     figure = Figure(figsize=(9, 8), layout="constrained")
@@ -228,9 +230,9 @@ def _scene(root: str, name: str, settings: dict[str, float], file: Path) -> Path
     return file
 
 
-def _beliefs(root: str, name: str, settings: dict[str, float], file: Path) -> Path:
+def _beliefs(root: str, name: str, recognised: dict[str, Any], file: Path) -> Path:
     """Beliefs about every fourth annotated pair, and about the same number of strangers who came nearest."""
-    test, belief = _learned(root, name, settings)
+    test, belief = _learned(root, name, recognised)
     at = test.crowd.pairs.offsets
     partners = np.flatnonzero(test.truth)[::4]
     strangers = np.flatnonzero(~test.truth)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from wakefold.evidence import Evidence, Fix, alive_classes, coarse_log_g, in_ord
 from wakefold.kernels import particles as kernel
 from wakefold.model import Model
 from wakefold.particles import NOISE, ParticleFilter, elapsed
+from wakefold.units import Time
 
 
 class BL1(ParticleFilter):
@@ -35,7 +35,7 @@ class BL1(ParticleFilter):
         evidence: Sequence[Evidence] = (),
         dt: float | None = None,
         *,
-        time: float | str | datetime | None = None,
+        time: Time | None = None,
     ) -> Belief:
         """The belief after ``dt`` seconds (or at ``time``) and the evidence; no evidence is a missing observation.
 
@@ -59,7 +59,7 @@ class BL2(ParticleFilter):
         evidence: Sequence[Evidence] = (),
         dt: float | None = None,
         *,
-        time: float | str | datetime | None = None,
+        time: Time | None = None,
     ) -> Belief:
         """See ``BL1.step``."""
         return _step(self, belief, evidence, dt, time, coarse=False)
@@ -70,7 +70,7 @@ def _step(
     belief: Belief,
     evidence: Sequence[Evidence],
     dt: float | None,
-    time: float | str | datetime | None,
+    time: Time | None,
     coarse: bool,
 ) -> Belief:
     tree, total = f.model.filtration, belief.log_evidence

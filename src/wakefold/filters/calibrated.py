@@ -6,7 +6,6 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import datetime
 from typing import Literal, NamedTuple, overload
 
 import numpy as np
@@ -27,10 +26,11 @@ from wakefold.particles import (
     ParticleFilter,
     agent_key,
     along,
-    as_seconds,
+    check_tree,
     elapsed,
     pick_strata,
 )
+from wakefold.units import Time, timestamp
 
 KINDS = 3  # spreads that each track is given components of
 
@@ -100,7 +100,7 @@ class Calibrated(ParticleFilter):
         *,
         fix: Fix | None = None,
         at: Literal["any", "begin"] = "any",
-        time: float | str | datetime | None = None,
+        time: Time | None = None,
         agent: str | None = None,
     ) -> Belief:
         """The prior belief about an agent: class uniform over the tracks, time uniform along the track.
@@ -116,7 +116,7 @@ class Calibrated(ParticleFilter):
         key, tracks = agent_key(self.seed, agent), self.model.tracks
         u = np.empty(1)
         random.uniforms(key, 0, START, u)
-        now = None if time is None else as_seconds(time)
+        now = None if time is None else timestamp(time)
         if fix is not None:
             points, covs, spreads, classes, logs, trust = self._around(fix, np.zeros(len(tracks)), float(u[0]))
         else:
@@ -180,7 +180,7 @@ class Calibrated(ParticleFilter):
         evidence: Sequence[Evidence] = (),
         dt: float | None = None,
         *,
-        time: float | str | datetime | None = None,
+        time: Time | None = None,
     ) -> Belief:
         """The belief after ``dt`` seconds (or at ``time``) and the evidence; no evidence is a missing observation.
 
@@ -231,6 +231,7 @@ class Calibrated(ParticleFilter):
 
     def _opened(self, belief: Belief) -> _Cloud:
         """A copy of the components of a belief."""
+        check_tree(belief, self.model.filtration)
         own = belief.gaussians
         if own is None or own.trust.shape[1] != len(self.reliability.nodes):
             raise ValueError("the belief was made by another filter")

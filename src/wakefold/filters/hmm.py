@@ -113,12 +113,8 @@ class GaussianHMM:
         features = self.mean.shape[1]
         if rows.ndim != 2 or rows.shape[1] != features:
             raise ValueError(f"observations must be (T, {features}), got shape {rows.shape}")
-        seen = np.isfinite(rows).all(axis=1)
-        out = np.zeros((len(rows), len(self.initial)))
-        for k, (mean, whiten) in enumerate(zip(self.mean, self._whiten, strict=True)):
-            off = np.einsum("fg,tg->tf", whiten, rows[seen] - mean)  # einsum: BLAS would differ with its threads
-            scale = features * np.log(2 * np.pi) - 2 * np.log(np.diag(whiten)).sum()
-            out[seen, k] = -0.5 * ((off**2).sum(axis=1) + scale)
+        out = np.empty((len(rows), len(self.initial)))
+        kernel.log_emission(np.ascontiguousarray(rows), self.mean, self._whiten, out)
         return out
 
     def log_likelihood(self, x: ArrayLike) -> float:
@@ -298,14 +294,9 @@ def _moments(model: GaussianHMM, x: Floats, member: Floats, floor: ArrayLike) ->
 
     A state without any observation keeps those of the model.
     """
-    mass = member.sum(axis=0)
     mean, cov = model.mean.copy(), model.cov.copy()
-    for k in np.flatnonzero(mass > 1e-9):
-        mean[k] = np.einsum("t,tf->f", member[:, k], x) / mass[k]
-        off = x - mean[k]
-        cov[k] = np.einsum("t,tf,tg->fg", member[:, k], off, off) / mass[k] + np.diag(
-            np.broadcast_to(floor, x.shape[1])
-        )
+    kernel.moments(x, member, mean, cov)
+    cov[member.sum(axis=0) > 1e-9] += np.diag(np.broadcast_to(floor, x.shape[1]))
     return mean, cov
 
 

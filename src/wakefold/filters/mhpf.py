@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
 from functools import lru_cache, partial
 from typing import Any, Literal
 
@@ -16,6 +15,7 @@ from wakefold.kernels import motion
 from wakefold.kernels import particles as kernel
 from wakefold.model import Model
 from wakefold.particles import COPIES, NOISE, Floats, Ints, ParticleFilter, elapsed
+from wakefold.units import Time
 
 Rule = Literal["arxiv2016", "gsi2017"]
 
@@ -64,6 +64,13 @@ class MHPF(ParticleFilter):
             self._used &= inner
         self._up = lru_cache(maxsize=64)(self._ancestors_in_use)
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_up"}  # a cache is no value
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._up = lru_cache(maxsize=64)(self._ancestors_in_use)
+
     def _ancestors_in_use(self, *more: float) -> Ints:
         """(C,) the nearest ancestor in use of every class, with the levels of a step's evidence in use as well."""
         tree, used = self.model.filtration, self._used
@@ -80,7 +87,7 @@ class MHPF(ParticleFilter):
         evidence: Sequence[Evidence] = (),
         dt: float | None = None,
         *,
-        time: float | str | datetime | None = None,
+        time: Time | None = None,
     ) -> Belief:
         """The belief after ``dt`` seconds (or at ``time``) and the evidence; no evidence is a missing observation.
 
@@ -161,8 +168,10 @@ class _Sets:
         """Algorithm 3, lines 6-19: coarse evidence; the log of the mean likelihood, -inf when every weight is zero."""
         f, tree = self.filter, self.filter.model.filtration
         observed = kernel.alive_above(self.nodes, self.parent, self.start, tree.death, level)
-        alive = np.unique(observed[observed >= 0])
         log_g = np.zeros(len(self.nodes))
+        among = np.zeros(len(self.nodes), dtype=bool)
+        among[observed[observed >= 0]] = True
+        alive = np.flatnonzero(among)
         log_g[alive] = coarse_log_g(tree, item, level, self.nodes[alive], f.likelihood, f.model.dynamics.diagonal)
         state = (self.base_mass, self.mass, self.factors, observed, log_g, f.rule == "arxiv2016")
         return kernel.spread_coarse(logs, self.leaf_of, self.parent, self.start, *state)

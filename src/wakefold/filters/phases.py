@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -128,6 +129,8 @@ class PhaseFilter:
         if not 0.0 < self.speed < math.inf:
             raise ValueError(f"speed must be a positive number, got {self.speed}")
         self._of = np.repeat(np.arange(len(names)), [phase.stages for phase in self.phases])
+        self._motions = lru_cache(maxsize=64)(self._motions_of)  # most steps are as long as one before
+        self._turns = lru_cache(maxsize=64)(self._turns_of)
         self._first = {name: int(np.searchsorted(self._of, k)) for k, name in enumerate(names)}
 
     def start(self, count: int) -> PairPhases:
@@ -158,9 +161,7 @@ class PhaseFilter:
         if not (0.0 < sd < math.inf and 0.0 <= dt < math.inf):
             raise ValueError(f"sd must be above 0 and dt must not be negative, got {sd} and {dt}")
         mean, cov, log_p, begun = belief.mean.copy(), belief.cov.copy(), belief.log_p.copy(), belief.begun.copy()
-        motions = [self._motion(self.phases[k], dt) for k in self._of]
-        f, q = np.array([f for f, _ in motions]), np.array([q for _, q in motions])
-        kernel.step(mean, cov, log_p, begun, z, sd * sd, self.speed**2, f, q, *self._turns(dt))
+        kernel.step(mean, cov, log_p, begun, z, sd * sd, self.speed**2, *self._motions(dt), *self._turns(dt))
         return PairPhases(mean, cov, log_p, begun)
 
     def probabilities(self, belief: PairPhases) -> Floats:
@@ -178,13 +179,15 @@ class PhaseFilter:
         place = np.einsum("pk,pkod->pod", np.exp(belief.log_p), belief.mean[:, :, :2])
         return np.where(belief.begun[:, :, None], place, np.nan)
 
-    @staticmethod
-    def _motion(phase: Phase, dt: float) -> tuple[Floats, Floats]:
-        q = np.full(2, phase.q)
-        drag, pull, diffusion = group(q, [] if phase.couples is None else [(0, 1, phase.couples)])
-        return transition(drag + phase.drag * np.eye(2), pull, diffusion, dt)
+    def _motions_of(self, dt: float) -> tuple[Floats, Floats]:
+        """Of each phase ``(K, 4, 4)``: what a state becomes, and the noise."""
+        motions = []
+        for phase in self.phases:
+            drag, pull, diffusion = group(np.full(2, phase.q), [] if phase.couples is None else [(0, 1, phase.couples)])
+            motions += [transition(drag + phase.drag * np.eye(2), pull, diffusion, dt)] * phase.stages
+        return np.array([f for f, _ in motions]), np.array([q for _, q in motions])
 
-    def _turns(self, dt: float) -> tuple[NDArray, NDArray, Floats, Floats]:
+    def _turns_of(self, dt: float) -> tuple[NDArray, NDArray, Floats, Floats]:
         """Turns as the kernel reads them, those from stage to stage among them."""
         rows: list[tuple[int, int, float, tuple[float, ...]]] = []
         for turn in self.turns:

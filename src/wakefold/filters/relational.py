@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from datetime import datetime
 from typing import Literal
 
 import numpy as np
@@ -18,10 +17,11 @@ from wakefold.activities import begin
 from wakefold.detections import Detections
 from wakefold.gating import Settings
 from wakefold.kernels.histories import MOST, WIDTH
-from wakefold.particles import agent_key, as_seconds
+from wakefold.particles import agent_key
 from wakefold.predicates import number
 from wakefold.relations import RelationalModel, Sampler
 from wakefold.scene import Pairs, Particles, Scene, outline
+from wakefold.units import Time, timestamp
 
 Engine = Literal["bootstrap", "adapted", "rbk", "collapsed"]
 ENGINES = ("bootstrap", "adapted", "rbk", "collapsed")
@@ -97,7 +97,7 @@ class RelationalFilter:
             model, engine, int(particles), float(gate), float(forget), int(cluster), int(hypotheses), int(histories)
         )
 
-    def start(self, time: float | str | datetime = 0.0, *, agent: str | None = None) -> Scene:
+    def start(self, time: Time = 0.0, *, agent: str | None = None) -> Scene:
         """The belief before anything is seen: no objects.
 
         Args:
@@ -130,7 +130,7 @@ class RelationalFilter:
             pairs=pairs,
             key=agent_key(self.seed, agent),
             particles=particles,
-            time=as_seconds(time),
+            time=timestamp(time),
         )
 
     def step(
@@ -139,7 +139,7 @@ class RelationalFilter:
         scans: Detections | Sequence[Detections] = (),
         dt: float | None = None,
         *,
-        time: float | str | datetime | None = None,
+        time: Time | None = None,
     ) -> Scene:
         """The belief after ``dt`` seconds (or at ``time``) and what was seen then.
 
@@ -153,7 +153,7 @@ class RelationalFilter:
             raise ValueError("step takes either dt or time")
         if not isinstance(scene, Scene):
             raise TypeError(f"step takes a Scene, as start and step return it, got {scene!r}")
-        seconds = as_seconds(time) - scene.time if time is not None else number("dt (seconds)", dt)
+        seconds = timestamp(time) - scene.time if time is not None else number("dt (seconds)", dt)
         if not 0.0 <= seconds <= LONGEST:
             raise ValueError(f"time must not run backwards, nor {LONGEST:g} s at once: dt is {seconds}")
         if isinstance(scans, Detections):

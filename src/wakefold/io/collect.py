@@ -20,6 +20,10 @@ MAX_GEODETIC_SPEED = 60.0
 """Metres per second (117 knots): faster than any ship, slower than most wrong positions imply."""
 
 
+FARTHEST = 1e12
+"""Plane units from the origin: further away, squares of distances lose all their digits."""
+
+
 class Collector:
     """Takes batches of ``Rows``, applies the rules of docs/reading.md, and makes ``Tracks`` of what is left.
 
@@ -61,7 +65,7 @@ class Collector:
             lon, lat = rows.position
             here = (np.abs(lon) <= 180) & (np.abs(lat) <= 90)  # NaN is not
         else:
-            here = np.logical_and.reduce([np.isfinite(p) for p in rows.position])
+            here = np.logical_and.reduce([np.abs(p) <= FARTHEST for p in rows.position])  # NaN is not
         good = self._refuse("no position", here, good, rows)
 
         self._describe(codes, good, rows.attributes)

@@ -28,6 +28,37 @@ def largest(maxima, i, j):
 
 
 @kernel
+def joined_at(lo, hi, maxima, a, b, out):
+    """Birth of the youngest common ancestor of classes a and b, 0 for a class and itself, into ``out``, all (n,).
+
+    It is the largest gap of the range that spans both. False, and no more is written, at a number that is no class.
+
+    Args:
+        lo, hi: (C,) ranks of each class.
+        maxima: see ``largest``.
+    """
+    for i in range(len(a)):
+        if not (0 <= a[i] < len(lo) and 0 <= b[i] < len(lo)):
+            return False
+        first, last = min(lo[a[i]], lo[b[i]]), max(hi[a[i]], hi[b[i]]) - 1
+        out[i] = 0.0 if a[i] == b[i] else largest(maxima, first, last)
+    return True
+
+
+@kernel
+def climb(classes, parent, death, level, out):
+    """The class alive at a level that holds each of ``classes``, none of them born after it, into ``out``, all (n,)."""
+    for i in range(len(classes)):
+        c = classes[i]
+        if i > 0 and c == classes[i - 1]:  # resampling leaves runs of one class
+            out[i] = out[i - 1]
+            continue
+        while death[c] <= level:
+            c = parent[c]
+        out[i] = c
+
+
+@kernel
 def name_merges(edges, heights, winner, loser):
     """The clusters that merges join, each named by its smallest track.
 

@@ -3,24 +3,110 @@
 log_b (T, K) is what each state makes of each observation, log_a (K, K) of the transitions, log_pi (K,) of the start.
 """
 
+import math
+
 import numpy as np
 
-from wakefold.kernels.compile import kernel
+from wakefold.kernels.compile import inner, kernel
 from wakefold.kernels.particles import log_sum
+
+LEAST = 1e-250  # a sum of shares above it has lost nothing to underflow, as each of them is lost only below 1e-300
+
+
+@kernel
+def log_emission(x, mean, whiten, out):
+    """Log density of each observation x (T, F) in each state into out (T, K); 0 where it says nothing (NaN).
+
+    mean (K, F), whiten (K, F, F) inverses of the Cholesky factors of the covariances.
+    """
+    states, features = mean.shape
+    constant, off = np.empty(states), np.empty(features)
+    for k in range(states):
+        constant[k] = -0.5 * features * math.log(2.0 * math.pi)
+        for f in range(features):
+            constant[k] += math.log(whiten[k, f, f])
+    for t in range(len(x)):
+        seen = True
+        for f in range(features):
+            seen = seen and math.isfinite(x[t, f])
+        for k in range(states):
+            square = 0.0
+            for f in range(features):
+                off[f] = x[t, f] - mean[k, f]
+                total = 0.0
+                for g in range(f + 1):
+                    total += whiten[k, f, g] * off[g]
+                square += total * total
+            out[t, k] = constant[k] - 0.5 * square if seen else 0.0
+
+
+@kernel
+def moments(x, member, mean, cov):
+    """Mean (K, F) and covariance (K, F, F) of each state, given its share member (T, K) in each observation x (T, F).
+
+    Those of a state without any observation stay as they are.
+    """
+    states, features = mean.shape
+    for k in range(states):
+        mass = 0.0
+        for t in range(len(x)):
+            mass += member[t, k]
+        if mass <= 1e-9:
+            continue
+        for f in range(features):
+            total = 0.0
+            for t in range(len(x)):
+                total += member[t, k] * x[t, f]
+            mean[k, f] = total / mass
+        for f in range(features):
+            for g in range(f + 1):
+                total = 0.0
+                for t in range(len(x)):
+                    total += member[t, k] * (x[t, f] - mean[k, f]) * (x[t, g] - mean[k, g])
+                cov[k, f, g] = cov[k, g, f] = total / mass
+
+
+@inner
+def _shares(log_p, out):
+    """exp(log_p) over the largest of them, into ``out``; returns the largest."""
+    peak = -np.inf
+    for i in range(len(log_p)):
+        peak = max(peak, log_p[i])
+    for i in range(len(log_p)):
+        out[i] = math.exp(log_p[i] - peak) if peak > -np.inf else 0.0
+    return peak
+
+
+@inner
+def _through(log_p, log_a, a, share, terms, out):
+    """log of the sums over i of exp(log_p[i] + log_a[i, j]), into ``out`` (K,); ``a`` is exp(log_a).
+
+    By K exponentials instead of K * K; where a sum is so small that underflow could matter, by all of them.
+    """
+    peak = _shares(log_p, share)
+    for j in range(len(out)):
+        total = 0.0
+        for i in range(len(log_p)):
+            total += share[i] * a[i, j]
+        if total > LEAST:
+            out[j] = peak + math.log(total)
+        else:
+            for i in range(len(log_p)):
+                terms[i] = log_p[i] + log_a[i, j]
+            out[j] = log_sum(terms)
 
 
 @kernel
 def forward(log_b, log_a, log_pi, alpha):
     """Equations 19 and 20: log p(observations so far, state now) into alpha (T, K). Returns log p(all of them)."""
     count, states = log_b.shape
-    terms = np.empty(states)
+    a, share, terms = np.exp(log_a), np.empty(states), np.empty(states)
     for j in range(states):
         alpha[0, j] = log_pi[j] + log_b[0, j]
     for t in range(1, count):
+        _through(alpha[t - 1], log_a, a, share, terms, alpha[t])
         for j in range(states):
-            for i in range(states):
-                terms[i] = alpha[t - 1, i] + log_a[i, j]
-            alpha[t, j] = log_sum(terms) + log_b[t, j]
+            alpha[t, j] += log_b[t, j]
     return log_sum(alpha[count - 1])
 
 
@@ -28,13 +114,13 @@ def forward(log_b, log_a, log_pi, alpha):
 def backward(log_b, log_a, beta):
     """Equations 24 and 25: log p(observations to come given the state now) into beta (T, K)."""
     count, states = log_b.shape
-    terms = np.empty(states)
-    beta[count - 1] = 0.0
+    a, share, terms, ahead = np.exp(log_a), np.empty(states), np.empty(states), np.empty(states)
+    for i in range(states):
+        beta[count - 1, i] = 0.0
     for t in range(count - 2, -1, -1):
-        for i in range(states):
-            for j in range(states):
-                terms[j] = log_a[i, j] + log_b[t + 1, j] + beta[t + 1, j]
-            beta[t, i] = log_sum(terms)
+        for j in range(states):
+            ahead[j] = log_b[t + 1, j] + beta[t + 1, j]
+        _through(ahead, log_a.T, a.T, share, terms, beta[t])
 
 
 @kernel
@@ -70,6 +156,8 @@ def expectations(log_b, offsets, log_a, log_pi, gamma, starts, moves, totals):
     Fills gamma (P, K) with the probability of each state at each moment and totals (N,) with the log-likelihood of each
     sequence; adds to starts (K,) and moves (K, K). A sequence that no path explains adds nothing: its gamma is 0.
     """
+    states = len(log_pi)
+    a, here, there, ahead = np.exp(log_a), np.empty(states), np.empty(states), np.empty(states)
     for n in range(len(offsets) - 1):
         lo, hi = offsets[n], offsets[n + 1]
         b = log_b[lo:hi]
@@ -81,10 +169,20 @@ def expectations(log_b, offsets, log_a, log_pi, gamma, starts, moves, totals):
             continue
         backward(b, log_a, beta)
         for t in range(hi - lo):
-            for j in range(b.shape[1]):
-                gamma[lo + t, j] = np.exp(alpha[t, j] + beta[t, j] - total)
-        starts += gamma[lo]
+            for j in range(states):
+                gamma[lo + t, j] = math.exp(alpha[t, j] + beta[t, j] - total)
+        for j in range(states):
+            starts[j] += gamma[lo, j]
         for t in range(1, hi - lo):
-            for i in range(b.shape[1]):
-                for j in range(b.shape[1]):
-                    moves[i, j] += np.exp(alpha[t - 1, i] + log_a[i, j] + b[t, j] + beta[t, j] - total)
+            for j in range(states):
+                ahead[j] = b[t, j] + beta[t, j]
+            scale = _shares(alpha[t - 1], here) + _shares(ahead, there) - total
+            if scale < 500.0:  # as in ``_through``: what underflow takes is less than 1e-80
+                weight = math.exp(scale)
+                for i in range(states):
+                    for j in range(states):
+                        moves[i, j] += weight * here[i] * a[i, j] * there[j]
+            else:
+                for i in range(states):
+                    for j in range(states):
+                        moves[i, j] += math.exp(alpha[t - 1, i] + log_a[i, j] + ahead[j] - total)

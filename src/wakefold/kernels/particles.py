@@ -346,3 +346,26 @@ def alive_above(nodes, parent, start, death, level):
                 o = parent[o]
             out[a] = o
     return out
+
+
+@kernel
+def along(points, times, offsets, chosen, share, out):
+    """Positions at a share (N,) of the duration of the ``chosen`` tracks (N,), into ``out`` (N, d).
+
+    Args:
+        points, times: (P, d), (P,) of all tracks; those of a track are ``offsets[track]:offsets[track + 1]``.
+    """
+    for i in range(len(chosen)):
+        low, high = offsets[chosen[i]], offsets[chosen[i] + 1] - 1
+        at = times[low] + share[i] * (times[high] - times[low])
+        while low < high:  # the last point that is not later
+            middle = (low + high + 1) // 2
+            if times[middle] <= at:
+                low = middle
+            else:
+                high = middle - 1
+        for k in range(out.shape[1]):
+            out[i, k] = points[low, k]
+            if times[low] < at and low + 1 < offsets[chosen[i] + 1]:
+                slope = (points[low + 1, k] - points[low, k]) / (times[low + 1] - times[low])
+                out[i, k] = slope * (at - times[low]) + points[low, k]

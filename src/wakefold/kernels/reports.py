@@ -79,6 +79,8 @@ def shares_near(points, covs, width2, places, hits, prior, chance, out, dims):
                     total -= root[j, m] * gap[m]
                 gap[j] = total * root[j, j]
                 apart2 += gap[j] * gap[j]
+                if apart2 >= 36.0:  # it only grows
+                    break
             if apart2 < 36.0:
                 weight = math.exp(-0.5 * apart2)
                 near += weight
