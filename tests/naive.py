@@ -356,3 +356,29 @@ def kalman_fixes(fixes, dt, sd, q, speed):
         means.append(mean)
         covs.append(cov)
     return np.array(means), np.array(covs), log
+
+
+def faded_looks(relative, speeds, seen, dts, evidence):
+    """Log-odds that looks at a pair add up to, t seconds of both being seen counting as t^(1 - fade).
+
+    Args:
+        relative: (T, 2, 2) position and velocity of one to the other after each step.
+        speeds: (T, 2) of both.
+        seen: (T,) whether both were detected.
+        dts: (T,) seconds of each step.
+    """
+
+    def cell(edges, value):
+        inside = [i for i in range(len(edges) - 1) if edges[i] <= value < edges[i + 1]]
+        return inside[0] if inside else len(edges) - 2
+
+    total, looked = 0.0, 0.0
+    for (u, w), (one, other), both, dt in zip(relative, speeds, seen, dts, strict=True):
+        if both:
+            i = cell(evidence.distance, math.hypot(*u))
+            j = cell(evidence.relative_speed, math.hypot(*w))
+            k = cell(evidence.speed, 0.5 * (one + other))
+            after = looked + dt
+            total += evidence.log_ratio[i, j, k] * (after ** (1 - evidence.fade) - looked ** (1 - evidence.fade))
+            looked = after
+    return total

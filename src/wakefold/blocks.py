@@ -51,7 +51,7 @@ def redraw(
         for p, held in zip(pairs, bits, strict=True):
             inside = np.flatnonzero(particles.block[p.first] == particles.block[members[0]])
             held[:, inside] = held[kept[:, None], inside]
-    again = [Pairs(p.first, p.second, p.p, p.counts, p.states, b, p.stages) for p, b in zip(pairs, bits, strict=True)]
+    again = [p._replace(bits=b) for p, b in zip(pairs, bits, strict=True)]
     return Particles(mean, cov, logs, particles.block), again
 
 

@@ -117,19 +117,20 @@ def _step_pairs(
     known = objects.unseen <= relation.seen_within
     many = kernel.step(
         pairs.first, pairs.second, p, counts, pairs.states, z, variance, seen, known, objects.mean, objects.cov,
-        relative_motions(s.model, relation, dt), switches(relation, dt), dt, *program(relation), *_evidence(relation),
-        s.histories, before, on, off, states,
+        relative_motions(s.model, relation, dt), switches(relation, dt), *program(relation),
+        *_evidence(relation, pairs, dt), s.histories, before, on, off, states,
     )  # fmt: skip
     about = s.model.activities_of(relation)
     stages = tuple(advance(x, before, on, off, dt, a) for x, a in zip(pairs.stages, about, strict=True))
-    return Pairs(pairs.first, pairs.second, p, counts, states[:many], pairs.bits, stages)
+    looked = pairs.looked + dt * (seen[pairs.first] & seen[pairs.second])
+    return Pairs(pairs.first, pairs.second, p, looked, counts, states[:many], pairs.bits, stages)
 
 
-def _evidence(relation: Relation) -> tuple[Floats, Floats, Floats, Floats]:
+def _evidence(relation: Relation, pairs: Pairs, dt: float) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     e = relation.evidence
     if e is None:
-        return NONE, NONE, NONE, np.zeros((0, 0, 0))
-    return e.distance, e.relative_speed, e.speed, e.log_ratio
+        return NONE, NONE, NONE, NONE, np.zeros((0, 0, 0))
+    return e.share(pairs.looked, dt), e.distance, e.relative_speed, e.speed, e.log_ratio
 
 
 def _with_company(s: Settings, pairs: list[Pairs], objects: Objects) -> tuple[Floats, Floats]:

@@ -235,7 +235,8 @@ def refresh(
     )
     many = histories.gather(pairs.states, pairs.counts, new.states, new.counts, source, states, counts)
     stages = tuple(merge(x, y) for x, y in zip(pairs.stages, new.stages, strict=True))
-    return Pairs(first, second, merge(pairs.p, new.p), counts, states[:many], bits, stages), is_new
+    columns = merge(pairs.p, new.p), merge(pairs.looked, new.looked)
+    return Pairs(first, second, *columns, counts, states[:many], bits, stages), is_new
 
 
 def begun(first: Ints, second: Ints, relation: Relation, s: Settings, objects: Objects, particles: int) -> Pairs:
@@ -255,7 +256,7 @@ def begun(first: Ints, second: Ints, relation: Relation, s: Settings, objects: O
     bits = np.zeros((particles, count), dtype=bool)
     if s.engine != "collapsed":
         none = np.zeros((count, 2), dtype=np.int64), np.zeros((0, histories.WIDTH))
-        return Pairs(first, second, p, *none, bits, stages)
+        return Pairs(first, second, p, np.zeros(count), *none, bits, stages)
     states = np.empty((count, 2, histories.WIDTH))
     states[:, :, :4], states[:, :, 4:7] = mean.reshape(count, 1, 4), cov[:, None]
     states[:, 0, 7], states[:, 1, 7] = 1.0 - p, p
@@ -266,7 +267,14 @@ def begun(first: Ints, second: Ints, relation: Relation, s: Settings, objects: O
         states[:, 1, :4] -= (pull[:, :, None] * mean[:, 1:2]).reshape(count, 4)
         states[:, 1, 4:7] -= np.column_stack([pull[:, 0] * cov[:, 1], pull[:, 0] * cov[:, 2], pull[:, 1] * cov[:, 2]])
     return Pairs(
-        first, second, p, np.ones((count, 2), dtype=np.int64), states.reshape(-1, histories.WIDTH), bits, stages
+        first,
+        second,
+        p,
+        np.zeros(count),
+        np.ones((count, 2), dtype=np.int64),
+        states.reshape(-1, histories.WIDTH),
+        bits,
+        stages,
     )
 
 

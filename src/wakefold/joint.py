@@ -263,7 +263,7 @@ def _potentials(s: Settings, objects: Objects, particles: Particles, pairs: list
         out = np.empty(len(u))
         log_ratios(u, w, va, vb, e.distance, e.relative_speed, e.speed, e.log_ratio, out)
         seen = (objects.unseen[p.first] == 0) & (objects.unseen[p.second] == 0)
-        gain = np.where(p.bits & seen, dt * out.reshape(p.bits.shape), 0.0)
+        gain = np.where(p.bits & seen, e.share(p.looked, dt) * out.reshape(p.bits.shape), 0.0)
         for k in np.flatnonzero(seen):
             particles.log_weights[:, particles.block == particles.block[p.first[k]]] += gain[:, k, None]
 
@@ -302,7 +302,8 @@ def _switch(
     after = np.clip((weights * np.where(p.bits, 1.0 - off, on)).sum(axis=0), 0.0, 1.0)
     about = s.model.activities_of(relation)
     stages = tuple(advance(x, before, mean_on, mean_off, dt, a) for x, a in zip(p.stages, about, strict=True))
-    return Pairs(p.first, p.second, after, p.counts, p.states, bits, stages)
+    both = (objects.unseen[p.first] == 0) & (objects.unseen[p.second] == 0)
+    return p._replace(p=after, looked=p.looked + dt * both, bits=bits, stages=stages)
 
 
 def _turnover(

@@ -137,21 +137,32 @@ class PairEvidence:
 
     A factor of the motion model (an interaction potential, as in Khan, Balch and Dellaert, PAMI 2005): positions are
     likelier for a related pair where related pairs are found. Frames close in time tell the same thing twice, hence
-    nats per *second*. Features beyond the last edge use the last bin.
+    nats per *second*. Looks at one pair repeat each other for longer than that: with ``fade`` the t seconds for which
+    both have been seen count as t^(1 - fade), so each second tells less than the one before. Features beyond the last
+    edge use the last bin.
 
     Attributes:
         distance: ``(D + 1,)`` rising edges, metres.
         relative_speed: ``(S + 1,)`` rising edges, m/s.
         speed: ``(V + 1,)`` rising edges of the mean of the two speeds, m/s.
-        log_ratio: ``(D, S, V)``, finite.
+        log_ratio: ``(D, S, V)``, finite; with ``fade`` nats for the first second.
+        fade: how much later looks repeat earlier ones, from 0 (not at all) to below 1.
     """
 
     distance: Floats
     relative_speed: Floats
     speed: Floats
     log_ratio: Floats
+    fade: float
 
-    def __init__(self, distance: ArrayLike, relative_speed: ArrayLike, speed: ArrayLike, log_ratio: ArrayLike) -> None:
+    def __init__(
+        self,
+        distance: ArrayLike,
+        relative_speed: ArrayLike,
+        speed: ArrayLike,
+        log_ratio: ArrayLike,
+        fade: float = 0.0,
+    ) -> None:
         for name, values in (("distance", distance), ("relative_speed", relative_speed), ("speed", speed)):
             edges = np.array(values, dtype=np.float64)
             ok = edges.ndim == 1 and len(edges) >= 2 and bool(np.isfinite(edges).all() and (np.diff(edges) > 0).all())
@@ -162,6 +173,14 @@ class PairEvidence:
         _check(table.shape == shape, f"PairEvidence: log_ratio must have shape {shape}, got {table.shape}")
         _check(bool(np.isfinite(table).all()), "PairEvidence: log_ratio must be finite")
         object.__setattr__(self, "log_ratio", table)
+        object.__setattr__(self, "fade", number("PairEvidence: fade", fade))
+        _check(0.0 <= self.fade < 1.0, f"PairEvidence: fade must be at least 0 and below 1, got {fade}")
+
+    def share(self, looked: Floats, dt: float) -> Floats:
+        """What the next ``dt`` seconds count as, in first seconds, of pairs seen for ``looked (P,)`` seconds before."""
+        if self.fade == 0.0:
+            return np.full(len(looked), dt)
+        return (looked + dt) ** (1.0 - self.fade) - looked ** (1.0 - self.fade)
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,9 @@ The log-odds that two people are together add up what their spacing and the diff
 things are learned in every scene anew, from its unlabelled people: how far apart those who walk together keep (a
 posterior about the training scenes' mean), how often strangers look alike (from ghosts: the same people at another
 time) and who has friends in common.
+
+Learned with ``online=True`` all that a pair tells is a sum over frames, and ``TogetherFit.relation`` makes a relation
+of it that ``RelationalFilter`` can follow.
 """
 
 from __future__ import annotations
@@ -15,7 +18,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wakefold.walkers import Looks, Together, Walkers, ghost_pairs, join, looks, pairs_of, running
+from wakefold.relations import PairEvidence, Relation
+from wakefold.walkers import (
+    DIFFERENCE,
+    SPACING,
+    Looks,
+    Together,
+    Walkers,
+    ghost_pairs,
+    join,
+    looks,
+    pairs_of,
+    running,
+)
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -25,6 +40,7 @@ ROUNDS = 12  # of learning a scene's constants in turn
 REPEATS = 3  # of fitting weights and shifts in turn
 FARTHEST = 6.0  # most that a scene shifts the log-odds
 MOMENTS = np.unique(np.rint(5 * 1.35 ** np.arange(20)).astype(np.int64))  # frames at which beliefs over time are judged
+CELLS = 18, 12  # between the outermost knots of spacing and of the difference of velocities, in a relation's evidence
 
 
 class Crowd(NamedTuple):
@@ -36,6 +52,7 @@ class Crowd(NamedTuple):
         looks: of these pairs.
         ghosts: looks of pairs of people and ghosts.
         rate: pairs of people for each pair with a ghost.
+        dt: seconds between frames.
     """
 
     people: int
@@ -43,6 +60,7 @@ class Crowd(NamedTuple):
     looks: Looks
     ghosts: Looks
     rate: float
+    dt: float
 
 
 def crowd(walkers: Walkers, *, least: int = 5, ghosts: int = 60_000) -> Crowd:
@@ -57,7 +75,7 @@ def crowd(walkers: Walkers, *, least: int = 5, ghosts: int = 60_000) -> Crowd:
     rounds = max(1, min(10, round(ghosts / max(len(pairs.first), 1))))
     unreal = join([looks(walkers, g) for g in ghost_pairs(walkers, rounds, least)])
     rate = len(pairs.first) / max(len(unreal.frames), 1)
-    return Crowd(len(walkers.ids), pairs, looks(walkers, pairs), unreal, rate)
+    return Crowd(len(walkers.ids), pairs, looks(walkers, pairs), unreal, rate, walkers.dt)
 
 
 class SceneConstants(NamedTuple):
@@ -84,12 +102,14 @@ class TogetherFit:
         weights: ``(20,)`` never strolled, spacing off the scene's squared, the same signed, the 16 hats of
             ``walkers.Looks.shape``, constant.
         friends: ``(4,)`` constant, own log-odds, friends in common, friends not in common.
+        online: as ``fit`` was told; the first weight is 0 then.
         spacing, between, within: mean log spacing of people together over scenes, its standard deviation from scene
             to scene, and that from pair to pair inside a scene.
     """
 
     fade: float
     trust: float
+    online: bool
     weights: Floats
     friends: Floats
     spacing: float
@@ -107,8 +127,8 @@ class TogetherFit:
         own, unreal = _terms(scene.looks, self.fade), _terms(scene.ghosts, self.fade)
         base = _base_rate(scene)
         for _ in range(ROUNDS):
-            z = _design(own, spacing) @ self.weights + base
-            shift = self.trust * _shift(z, _design(unreal, spacing) @ self.weights + base, scene.rate)
+            z = self._told(own, spacing) + base
+            shift = self.trust * _shift(z, self._told(unreal, spacing) + base, scene.rate)
             p = _odds(z + shift)
             count = 0.2 * p.sum()
             precision = 1.0 / self.between**2 + count / self.within**2
@@ -119,7 +139,7 @@ class TogetherFit:
 
     def posterior(self, scene: Crowd, constants: SceneConstants) -> Floats:
         """``(K,)`` probability that each pair of the scene is together, given all it was seen to do."""
-        z = _design(_terms(scene.looks, self.fade), constants.spacing) @ self.weights
+        z = self._told(_terms(scene.looks, self.fade), constants.spacing)
         return self._with_friends(z + _base_rate(scene) + constants.shift, scene.pairs, scene.people)
 
     def over_time(self, walkers: Walkers, scene: Crowd, constants: SceneConstants) -> Floats:
@@ -127,18 +147,62 @@ class TogetherFit:
 
         Friends in common are left out: they are known at the end only.
         """
-        frames, told, log_spacing, strolled = running(walkers, scene.pairs, self.weights[3:-1])
-        terms = _Terms((frames / UNIT) ** (1.0 - self.fade), np.zeros((len(frames), 0)), log_spacing, strolled)
-        keep = np.concatenate([self.weights[:3], self.weights[-1:]])
-        z = _design(terms, constants.spacing) @ keep + told * terms.amount
+        frames, told, log_spacing, strolled = running(walkers, scene.pairs, self._at_knots(constants.spacing))
+        amount = (frames / UNIT) ** (1.0 - self.fade)
+        z = told * amount + self.weights[-1]
+        if not self.online:
+            z += np.column_stack([~strolled, *_off(log_spacing - constants.spacing)]) @ self.weights[:3]
         return _odds(z + _base_rate(scene) + constants.shift)
+
+    def relation(
+        self, scene: Crowd, constants: SceneConstants, *, name: str = "together", kind: str = "person"
+    ) -> Relation:
+        """What was learned, as a relation for a ``RelationalModel``: it holds of a pair or not, and does not change.
+
+        The prior is the scene's base rate with its shift; the evidence is what spacing and the difference of the
+        velocities tell, frame by frame and fading. Objects should move with the diffusion that ``walkers.follow`` had.
+
+        Args:
+            constants: what ``settle`` said of the scene.
+            name, kind: of the relation, and of its objects.
+
+        Raises:
+            ValueError: learned without ``online=True``, or with ``fade=1``.
+        """
+        if not self.online:
+            raise ValueError("relation needs constants learned by fit(..., online=True)")
+        told = self._at_knots(constants.spacing)
+        distance, near = _cells(SPACING, told[: len(SPACING)], CELLS[0])
+        relative_speed, alike = _cells(DIFFERENCE, told[len(SPACING) :], CELLS[1])
+        first = (UNIT * scene.dt) ** (self.fade - 1.0)  # UNIT frames count as one
+        table = first * (near[:, None, None] + alike[None, :, None])
+        evidence = PairEvidence(distance, relative_speed, [0.0, 1.0], table, fade=self.fade)
+        prior = float(_odds(np.array(self.weights[-1] + _base_rate(scene) + constants.shift)))
+        return Relation(name, (kind, kind), rate_on=0.0, rate_off=0.0, prior=prior, evidence=evidence)
+
+    def _told(self, terms: _Terms, spacing: float) -> Floats:
+        """``(K,)`` log-odds without base rate and shift."""
+        return _design(terms, spacing, self.online) @ self.weights
+
+    def _at_knots(self, spacing: float) -> Floats:
+        """``(16,)`` what a look tells at each knot of spacing and of the difference of velocities."""
+        told = self.weights[3:-1].copy()
+        if self.online:
+            told[: len(SPACING)] += np.column_stack(_off(SPACING - spacing)) @ self.weights[1:3]
+        return told
 
     def _with_friends(self, z: Floats, pairs: Together, people: int) -> Floats:
         return _odds(_friends(z, pairs, people) @ self.friends)
 
 
 def fit(
-    scenes: list[Crowd], together: list[Bools], *, fade: float = 0.5, ridge: float = 0.5, trust: float = 0.5
+    scenes: list[Crowd],
+    together: list[Bools],
+    *,
+    fade: float = 0.5,
+    ridge: float = 0.5,
+    trust: float = 0.5,
+    online: bool = False,
 ) -> TogetherFit:
     """Learn the constants from scenes whose groups are known.
 
@@ -150,6 +214,8 @@ def fit(
         together: ``(K,)`` for each scene, whether each of its pairs is together.
         fade, trust: see ``TogetherFit``; between 0 and 1.
         ridge: penalty on squared weights.
+        online: judge spacing frame by frame like the rest, and do not ask whether both have walked, so that all a pair
+            tells adds up frame by frame; for ``TogetherFit.relation``.
 
     Raises:
         ValueError: a scene without a pair together, labels that do not fit, or a setting out of range.
@@ -167,8 +233,8 @@ def fit(
     means = [float(s.looks.log_spacing[y].mean()) for s, y in zip(scenes, together, strict=True)]
     within = float(np.mean([s.looks.log_spacing[y].std() for s, y in zip(scenes, together, strict=True)]))
     between = max(0.15, float(np.std(means, ddof=1)) if len(means) > 1 else 0.3)
-    designs = [_design(_terms(s.looks, fade), m) for s, m in zip(scenes, means, strict=True)]
-    unreal = [_design(_terms(s.ghosts, fade), m) for s, m in zip(scenes, means, strict=True)]
+    designs = [_design(_terms(s.looks, fade), m, online) for s, m in zip(scenes, means, strict=True)]
+    unreal = [_design(_terms(s.ghosts, fade), m, online) for s, m in zip(scenes, means, strict=True)]
     importance = [np.full(len(y), 10.0 / np.sqrt(y.sum())) for y in together]
     labels, heavy = np.concatenate(together), np.concatenate(importance)
     shifts, weights = [0.0] * len(scenes), np.zeros(designs[0].shape[1])
@@ -185,9 +251,8 @@ def fit(
         for x, s, d in zip(designs, scenes, shifts, strict=True)
     ]
     friends = logistic(np.concatenate(known)[:, ::-1], labels, heavy, np.zeros(len(labels)), 0.01)[::-1]
-    return TogetherFit(
-        fade, trust, weights, np.ascontiguousarray(friends), float(np.mean(means)), between, max(within, 0.05)
-    )
+    friends = np.ascontiguousarray(friends)
+    return TogetherFit(fade, trust, online, weights, friends, float(np.mean(means)), between, max(within, 0.05))
 
 
 class Soon(NamedTuple):
@@ -246,12 +311,29 @@ def _terms(seen: Looks, fade: float) -> _Terms:
     return _Terms(amount, seen.shape * amount[:, None], seen.log_spacing, seen.strolled)
 
 
-def _design(terms: _Terms, spacing: float) -> Floats:
+def _design(terms: _Terms, spacing: float, online: bool) -> Floats:
     """Columns of the regression; the constant last."""
-    off = terms.log_spacing - spacing
-    ones = np.ones(len(off))
-    columns = [~terms.strolled, -np.minimum(off * off, 4.0), np.clip(off, -1.5, 1.5), *terms.shape.T, ones]
-    return np.column_stack(columns)
+    ones = np.ones(len(terms.amount))
+    if online:
+        near = terms.shape[:, : len(SPACING)]  # hat functions: straight lines between the knots
+        return np.column_stack([0.0 * ones, *(near @ x for x in _off(SPACING - spacing)), *terms.shape.T, ones])
+    off = _off(terms.log_spacing - spacing)
+    return np.column_stack([~terms.strolled, *off, *terms.shape.T, ones]).astype(np.float64)
+
+
+def _off(off: Floats) -> tuple[Floats, Floats]:
+    """How a log spacing off the scene's mean is judged: squared and signed."""
+    return -np.minimum(off * off, 4.0), np.clip(off, -1.5, 1.5)
+
+
+def _cells(knots: Floats, values: Floats, many: int) -> tuple[Floats, Floats]:
+    """A function of a logarithm, straight between knots, as a table: edges and the value in the middle of each cell.
+
+    The first cell and the last are what lies outside the knots.
+    """
+    inner = np.linspace(knots[0], knots[-1], many + 1)
+    middle = np.concatenate([knots[:1], 0.5 * (inner[1:] + inner[:-1]), knots[-1:]])
+    return np.concatenate([[0.0], np.exp(inner), [2.0 * np.exp(knots[-1])]]), np.interp(middle, knots, values)
 
 
 def _base_rate(scene: Crowd) -> float:

@@ -79,6 +79,7 @@ class Pairs(NamedTuple):
     Attributes:
         first, second: ``(P,)`` objects, as places in ``Scene``.
         p: ``(P,)`` probability that the relation holds.
+        looked: ``(P,)`` seconds for which both have been seen.
         counts, states: ``(P, 2)``, ``(H, 8)`` how many Gaussians over the relative state a pair has, unrelated and
             related, and these, pair after pair (engine "collapsed"): relative position and velocity, their covariance
             (position, cross, velocity) and the probability of each.
@@ -89,6 +90,7 @@ class Pairs(NamedTuple):
     first: Ints
     second: Ints
     p: Floats
+    looked: Floats
     counts: Ints
     states: Floats
     bits: NDArray[np.bool_]
@@ -98,7 +100,8 @@ class Pairs(NamedTuple):
         """The pairs at ``rows`` (places or a mask); of an engine with particles."""
         stages = tuple(s[rows] for s in self.stages)
         bits = np.ascontiguousarray(self.bits[:, rows])
-        return Pairs(self.first[rows], self.second[rows], self.p[rows], self.counts[rows], self.states, bits, stages)
+        first, second, p, looked = self.first[rows], self.second[rows], self.p[rows], self.looked[rows]
+        return Pairs(first, second, p, looked, self.counts[rows], self.states, bits, stages)
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,7 +315,7 @@ class Scene:
 
 
 _ARRAYS = ("ids", "kinds", "serial", "mean", "cov", "own_mean", "own_cov", "existence", "unseen", "key")
-_PAIRS = ("first", "second", "p", "counts", "states", "bits")
+_PAIRS = ("first", "second", "p", "looked", "counts", "states", "bits")
 _PARTICLES = ("mean", "cov", "log_weights", "block")
 _NUMBERS = ("step", "serials", "time", "log_evidence", "recoveries")
 

@@ -107,7 +107,7 @@ class RelationalFilter:
         count = 0 if self.settings.engine == "collapsed" else self.settings.particles
         none, whole = np.zeros(0), np.zeros(0, dtype=np.int64)
         unpaired = Pairs(
-            whole, whole, none, np.zeros((0, 2), np.int64), np.zeros((0, WIDTH)), np.zeros((count, 0), bool)
+            whole, whole, none, none, np.zeros((0, 2), np.int64), np.zeros((0, WIDTH)), np.zeros((count, 0), bool)
         )
         pairs = tuple(
             unpaired._replace(stages=tuple(begin(none) for _ in self.model.activities_of(r)))

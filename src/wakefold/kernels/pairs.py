@@ -213,10 +213,10 @@ def _chance(way, yes, known, chances):
 @kernel
 def step(
     first, second, p, counts, states, z, variance, seen, known, objects, spread,
-    motions, chances, dt, ops, numbers, distances, differences, speeds, table, limit,
+    motions, chances, ops, numbers, share, distances, differences, speeds, table, limit,
     before, on, off, out,
 ):  # fmt: skip
-    """Beliefs about P pairs after ``dt`` seconds and the detections of both objects, in place.
+    """Beliefs about P pairs after a step of time and the detections of both objects, in place.
 
     A pair is a switching linear system of two modes, unrelated (0) and related (1), over its relative state (second
     minus first), in the order of Eq. 1: objects move as they were related before, are seen, and then the relation
@@ -232,8 +232,9 @@ def step(
         known: (n,) whether an object was seen lately.
         objects, spread: (n, 2, 2), (n, 3) the objects' own filters, after the detections.
         motions: (2, 7) of the relative state in both modes.
-        chances: (3, 2) of switching on and off within ``dt`` where the predicate holds, where not, and where unknown.
+        chances: (3, 2) of switching on and off within the step where the predicate holds, where not, and where unknown.
         ops, numbers: of the predicate; no operations: it always holds.
+        share: (P,) seconds that the looks of this step count as.
         distances, differences, speeds, table: of its evidence; an empty table: none.
         limit: Gaussians a pair may have in each mode.
         before, on, off: (P,) out: probability before the switch, and of switching on and off.
@@ -268,7 +269,7 @@ def step(
             f[6, h], f[7, h], f[8, h], f[9, h] = objects[a, 1, 0], objects[a, 1, 1], objects[b, 1, 0], objects[b, 1, 1]
             f[10, h], f[11, h], f[12, h] = spread[a, 2], spread[b, 2], 1.0
             if looks and mode[h] == 1 and seen[a] and seen[b]:
-                misfit[h] -= dt * _log_ratio(
+                misfit[h] -= share[pair[h]] * _log_ratio(
                     f[0, h], f[1, h], f[2, h], f[3, h], f[6, h], f[7, h], f[8, h], f[9, h],
                     distances, differences, speeds, table,
                 )  # fmt: skip
