@@ -159,6 +159,7 @@ def beside_peers(quick: bool) -> None:
 def growth(base: Tracks, counts: list[int], plot: str | None) -> None:
     print("\n| tracks drawn | points | CPU s | wall s | peak memory above the data, MiB |\n|---|---|---|---|---|")
     seconds = []
+    Filtration.fit(drawn_from(base, counts[0]))  # compiles
     for count in counts:
         tracks = drawn_from(base, count)
         before = peak_memory(reset=True)
