@@ -52,6 +52,26 @@ for make in (wf.MHPF, wf.BL1, wf.BL2):
 print(json.dumps([imported, time.perf_counter() - start, time.process_time() - cpu]))
 """
 
+DEMO = """
+import contextlib, io, json, sys, threading, time
+from pathlib import Path
+from numba.core import event
+from wakefold import demo
+spent, depth = [], threading.local()
+class Outermost(event.Listener):
+    def on_start(self, event):
+        depth.now = getattr(depth, "now", 0) + 1
+        if depth.now == 1:
+            depth.begin = time.thread_time()
+    def on_end(self, event):
+        depth.now -= 1
+        if depth.now == 0:
+            spent.append(time.thread_time() - depth.begin)
+event.register("numba:compile", Outermost())
+demo.run(Path(sys.argv[1]), lambda *share: None, lambda line: None)
+print(json.dumps(sum(spent)))
+"""
+
 
 class Course(NamedTuple):
     """What one filter is shown: a first fix and those that follow, ``dt`` seconds apart."""
@@ -239,6 +259,18 @@ def first_steps(cache: str) -> list[float]:
     return json.loads(done.stdout)
 
 
+def demo_kernels() -> float:
+    """CPU seconds that the demo compiles for, of the threads that do, where nothing was compiled before."""
+    with tempfile.TemporaryDirectory() as room:
+        done = subprocess.run(
+            [sys.executable, "-c", DEMO, str(Path(room) / "demo")],
+            capture_output=True,
+            check=True,
+            env=os.environ | {"NUMBA_CACHE_DIR": str(Path(room) / "cache")},
+        )
+    return json.loads(done.stdout)
+
+
 def main(quick: bool = False, directory: Path = DATA) -> None:
     rng = np.random.default_rng(0)
     filters: dict[str, Callable[[wf.Model], Any]] = {
@@ -274,6 +306,8 @@ def main(quick: bool = False, directory: Path = DATA) -> None:
         for state in ("nothing compiled yet", "compiled before"):
             imported, wall, cpu = first_steps(cache)
             print(f"| {state} | {imported:.3f} | {wall:.2f} | {cpu:.2f} |")
+    if find_spec("tracktable_data"):
+        print(f"\nKernels of the demo, nothing compiled yet: {demo_kernels():.2f} CPU s")
 
 
 if __name__ == "__main__":

@@ -29,7 +29,7 @@ from wakefold.demo_scores import (
     questions,
     summary,
 )
-from wakefold.distance import frechet_matrix
+from wakefold.distance import distances_from
 from wakefold.evidence import CoarseClass, Fix
 from wakefold.filters.bootstrap import BL1
 from wakefold.filters.mhpf import MHPF
@@ -120,7 +120,8 @@ def chosen(held_out: Tracks) -> int:
 def destined(model: Model, voyage: Floats, level: float) -> int:
     """The class at a level of the past voyage that is nearest to the whole of this one: a truthful coarse report."""
     whole = Tracks.from_arrays([voyage]).resample(spacing=SPACING)
-    return model.filtration.class_at(int(np.argmin(frechet_matrix(whole, model.tracks))), level)
+    away = distances_from(whole.points, model.tracks, np.arange(len(model.tracks)))
+    return model.filtration.class_at(int(np.argmin(away)), level)
 
 
 def follow(model: Model, name: str, points: Floats, times: Floats) -> list[Step]:

@@ -121,7 +121,7 @@ def divide(features, order, starts, stops, low, high):
             values[i] = features[order[i], widest]
         part(values, order, starts[n], stops[n], stops[2 * n + 1])
     for n in range(inner, len(starts)):
-        corners(features, order, starts[n], stops[n], 1, low, high, n)
+        corners(features, order, starts[n], stops[n], np.intp(1), low, high, n)  # a literal would compile it twice
     for n in range(inner - 1, -1, -1):
         for f in range(features.shape[1]):
             low[n, f] = min(low[2 * n + 1, f], low[2 * n + 2, f])

@@ -19,10 +19,10 @@ import numpy as np
 
 from wakefold.kernels.compile import inner, kernel
 from wakefold.kernels.simd import (
-    LANES,
     fill,
     furthest_squared,
     higher,
+    lanes_of,
     load,
     lower,
     point,
@@ -34,13 +34,6 @@ from wakefold.kernels.simd import (
 
 TILE = 4  # rows of the table carried through one sweep of the columns, so that each column is loaded a quarter as often
 BELOW = 1 - 2.0**-20  # below a square by more than fused products can change it
-LANES32, LANES64 = LANES["float32"], LANES["float64"]
-
-
-@inner
-def lanes_of(array):
-    """Lanes of a vector of the array's dtype."""
-    return LANES32 if array.itemsize == 4 else LANES64
 
 
 @kernel
@@ -141,6 +134,7 @@ def settled_lanes(a, a_boxes, rows, b, b_boxes, columns, table, axes):
         bit mask of these lanes.
     """
     never, nothing = fill(table, np.inf), fill(table, 0.0)
+    one, none = np.intp(1), np.intp(0)  # literals would compile farthest_pair four times
     down, across = rows // TILE, columns // TILE
     first = squared_distance(point(a, 0, axes), point(b, 0, axes))
     last = squared_distance(point(a, rows - 1, axes), point(b, columns - 1, axes))
@@ -156,7 +150,7 @@ def settled_lanes(a, a_boxes, rows, b, b_boxes, columns, table, axes):
             above = load(table, j)
             cost = furthest_squared(low, high, point(b_boxes, 2 * j, axes), point(b_boxes, 2 * j + 1, axes))
             if i + j == 0:
-                cost = farthest_pair(a, 1, 1, b, 1, 1, axes)
+                cost = farthest_pair(a, one, one, b, one, one, axes)
             cost = higher(cost, lower(lower(above, corner), left))
             store(table, j, cost)
             corner, left, least = above, cost, lower(least, cost)
@@ -164,9 +158,9 @@ def settled_lanes(a, a_boxes, rows, b, b_boxes, columns, table, axes):
             corner = never
             if within(least, nothing, limit) == 0:
                 return 0
-    from_above = higher(load(table, across - 1), farthest_pair(a, rows - TILE, 1, b, columns - 1, 0, axes))
-    from_left = higher(left, farthest_pair(a, rows - 1, 0, b, columns - TILE, 1, axes))
-    between = higher(corner, farthest_pair(a, rows - TILE, 1, b, columns - TILE, 1, axes))
+    from_above = higher(load(table, across - 1), farthest_pair(a, rows - TILE, one, b, columns - 1, none, axes))
+    from_left = higher(left, farthest_pair(a, rows - 1, none, b, columns - TILE, one, axes))
+    between = higher(corner, farthest_pair(a, rows - TILE, one, b, columns - TILE, one, axes))
     store(table, 0, ends)
     return within(lower(lower(from_above, from_left), between), nothing, limit)
 
@@ -212,7 +206,7 @@ def rows_against_columns(
     """
     d = points.shape[1]
     lanes = lanes_of(packed)
-    tallest = longest(offsets, rows, 0, len(rows)) + TILE
+    tallest = longest(offsets, rows, np.intp(0), len(rows)) + TILE
     a, a_boxes = np.empty(tallest * d * lanes, packed.dtype), np.empty(2 * tallest // TILE * d * lanes, packed.dtype)
     widest = 0
     for each in width:
@@ -268,9 +262,9 @@ def pairs_of_tracks(points, offsets, first, second, axes, out):
     """
     d = points.shape[1]
     lanes = lanes_of(points)
-    a = np.empty((longest(offsets, first, 0, len(first)) + TILE) * d * lanes, points.dtype)
-    b = np.empty(longest(offsets, second, 0, len(second)) * d * lanes, points.dtype)
-    table = np.empty(longest(offsets, second, 0, len(second)) * lanes, points.dtype)
+    a = np.empty((longest(offsets, first, np.intp(0), len(first)) + TILE) * d * lanes, points.dtype)
+    b = np.empty(longest(offsets, second, np.intp(0), len(second)) * d * lanes, points.dtype)
+    table = np.empty(longest(offsets, second, np.intp(0), len(second)) * lanes, points.dtype)
     for start in range(0, len(first), lanes):
         stop = min(start + lanes, len(first))
         rows = (longest(offsets, first, start, stop) + TILE - 1) // TILE * TILE
@@ -300,8 +294,8 @@ def track_against_tracks(track, points, offsets, others, axes, out):
     rows = (len(track) + TILE - 1) // TILE * TILE
     a = np.empty(rows * d * lanes, points.dtype)
     for lane in range(lanes):
-        pack(track, 0, len(track), rows, a, lane)
-    widest = longest(offsets, others, 0, len(others))
+        pack(track, np.intp(0), len(track), rows, a, lane)
+    widest = longest(offsets, others, np.intp(0), len(others))
     b, table = np.empty(widest * d * lanes, points.dtype), np.empty(widest * lanes, points.dtype)
     for start in range(0, len(others), lanes):
         stop = min(start + lanes, len(others))

@@ -49,6 +49,16 @@ def _address(context, builder, array_type, array, element):
 
 
 @intrinsic
+def lanes_of(typing, array):
+    """Lanes of a vector of the array's dtype."""
+
+    def generate(context, builder, signature, arguments):
+        return context.get_constant(types.intp, Vector(array.dtype).lanes)
+
+    return types.intp(array), generate
+
+
+@intrinsic
 def fill(typing, array, value):
     """A vector of the array's dtype with the same value in every lane."""
     vector = Vector(array.dtype)
