@@ -459,6 +459,19 @@ def test_columns_by_position_in_a_table_without_a_header(room: Path) -> None:
     assert (code, json.loads(out)["points"]) == (0, 210)
 
 
+def test_two_ships_of_one_name_are_told_apart_by_their_speed(room: Path) -> None:
+    rows = [f"twin,2020-12-01T06:{i:02d}:00Z,-{74 + 2 * (i // 10)}.{i:03d},40.6\n" for i in range(20)]
+    (room / "twins.csv").write_text(harbour() + "".join(rows))
+    remark = "1 leg from point to point would take more than 60 m/s; see --max-speed"
+    assert remark in run("learn twins.csv -o t.model")[1]
+    said = run("learn twins.csv --max-speed 60 -o t.model")[1]
+    assert "m/s" not in said
+    assert "11 tracks cut into 12 pieces" in said
+    code, _, problem = run("learn twins.csv --max-speed 0 -o t.model")
+    assert code == 2
+    assert "must be above 0" in problem
+
+
 def test_ships_at_rest_do_not_choose_the_spacing(room: Path) -> None:
     rows = [f"moored{k},2020-12-01T06:{i:02d}:00Z,-74.0{i % 2},40.6\n" for k in range(30) for i in range(3)]
     rows = [row.replace("-74.01", "-74.0001").replace("-74.00,", "-74.0000,") for row in rows]

@@ -47,6 +47,18 @@ def test_gaps_partition_the_points(tracks, longest):
     check_alone(tracks, lambda t: t.segment(max_gap=longest, min_points=1))
 
 
+@given(ragged(), st.sampled_from([0.1, 3.0, 1e6]))
+def test_no_leg_of_a_piece_is_too_fast(tracks, speed):
+    pieces = tracks.segment(max_speed=speed, min_points=1)
+    assert (pieces.columns["row"] == tracks.columns["row"]).all()
+    for k in range(len(pieces)):
+        assert (np.linalg.norm(np.diff(pieces[k], axis=0), axis=1) <= speed * np.diff(pieces.times_of(k))).all()
+    for i, name in enumerate(tracks.ids):
+        fast = np.linalg.norm(np.diff(tracks[i], axis=0), axis=1) > speed * np.diff(tracks.times_of(i))
+        assert (pieces.attributes["agent"] == name).sum() == 1 + fast.sum()
+    check_alone(tracks, lambda t: t.segment(max_speed=speed, min_points=1))
+
+
 @given(ragged(), st.sampled_from([0.0, 1.0, 30.0]), st.sampled_from([1.0, 30.0, 4000.0]), st.sampled_from([1, 2, 5]))
 def test_stops_follow_their_definition(tracks, radius, duration, min_points):
     every = tracks.segment(stop_radius=radius, stop_time=duration, min_points=1)
@@ -77,7 +89,14 @@ def test_a_ferry_is_cut_at_its_berths():
 
 def test_segment_needs_to_know_what_to_cut_at():
     tracks = Tracks.from_arrays([[[0.0, 0.0], [1.0, 0.0]]])
-    for wrong in ({}, {"stop_radius": 5}, {"stop_time": 5}, {"stop_radius": 5, "stop_time": 0}, {"max_gap": "soon"}):
+    for wrong in (
+        {},
+        {"stop_radius": 5},
+        {"stop_time": 5},
+        {"stop_radius": 5, "stop_time": 0},
+        {"max_gap": "soon"},
+        {"max_speed": 0},
+    ):
         with pytest.raises(ValueError):  # noqa: PT011 -- five different messages
             tracks.segment(**wrong)
     empty = tracks.segment(stop_radius=10, stop_time=1)

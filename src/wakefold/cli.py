@@ -95,6 +95,10 @@ def learn(
         ),
     ] = "auto",
     max_gap: Annotated[str, typer.Option(help="Cut a track where its agent is silent for longer.")] = "30min",
+    max_speed: Annotated[
+        float | None,
+        opt("Cut a track where getting to the next point takes more, metres per second."),
+    ] = None,
     stop: Annotated[
         str | None,
         opt("Cut a track where its agent stands: RADIUS,TIME such as 150m,10min."),
@@ -123,7 +127,9 @@ def learn(
     cli_options.input_files(tracks)
     cli_options.model_directory(output)
     step = None if spacing == "auto" else cli_options.length("--spacing", spacing)
-    cuts = {"max_gap": cli_options.duration("--max-gap", max_gap), **cli_options.stop(stop)}
+    cuts = {"max_gap": cli_options.duration("--max-gap", max_gap), "max_speed": max_speed, **cli_options.stop(stop)}
+    if max_speed is not None and not max_speed > 0:
+        cli_options.wrong("--max-speed", "must be above 0")
     shortest = cli_options.length("--min-length", min_length, zero=True)
     radius = None if epsilon is None else cli_options.length("--epsilon", epsilon)
     names = cli_options.columns(columns)
@@ -134,7 +140,7 @@ def learn(
     pieces = read.segment(**cuts).filter(min_length=shortest)
     if not len(pieces):
         fail("no track is left to learn from: " + "; ".join(pieces.notes))
-    if remark := cli_options.at_rest(pieces):
+    for remark in filter(None, [cli_options.at_rest(pieces), cli_options.impossible(pieces)]):
         show(f"  note: {remark}")
     step = step or cli_options.auto_spacing(pieces) or fail("no track moves: give --spacing")
     if (points := cli_options.points_after(pieces, step)) > MOST_POINTS:

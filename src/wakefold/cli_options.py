@@ -23,6 +23,7 @@ T = TypeVar("T")
 MOST_LEVELS = 20  # that are asked for by number; a larger number is a height without its unit
 MOVING = 1000.0  # metres; a geodetic track that gets no farther is a ship at anchor or at its berth
 FINEST, COARSEST = 20.0, 200.0  # metres; the noise of positions, and turns in a channel that must not be cut
+SHIPS = 60.0  # metres per second, as the readers have it
 RESTING = 100.0  # metres; a moored ship swings that far, and its positions scatter
 PICTURES = (".png", ".svg", ".pdf")
 STANDARD = Path("-")  # standard input or output
@@ -241,6 +242,16 @@ def at_rest(tracks: Tracks) -> str | None:
     if tracks.projection is None or 2 * resting <= len(tracks):
         return None
     return f"{resting:,} of {counted(len(tracks), 'track')} stay within {RESTING:.0f} m; see --stop, --min-length"
+
+
+def impossible(tracks: Tracks) -> str | None:
+    """A remark if some legs, few of all, are faster than ships: two agents share a name. None if not."""
+    from wakefold.shaping import fast_legs
+
+    fast = int(fast_legs(tracks, SHIPS).sum())
+    if tracks.projection is None or fast == 0 or 10 * fast > len(tracks.points):
+        return None
+    return f"{counted(fast, 'leg')} from point to point would take more than {SHIPS:.0f} m/s; see --max-speed"
 
 
 def _extent(tracks: Tracks) -> np.ndarray:

@@ -75,12 +75,14 @@ def segment(
     max_gap: Duration | None = None,
     *,
     min_points: int = 2,
+    max_speed: float | None = None,
     stop_radius: Length | None = None,
     stop_time: Duration | None = None,
 ) -> Tracks:
-    """Tracks cut where the agent was silent and where it stood still.
+    """Tracks cut where the agent was silent, where it cannot have gone and where it stood still.
 
-    A gap is more than ``max_gap`` between two successive points. A stop is a maximal run of points that stays
+    A gap is more than ``max_gap`` between two successive points. A leg from one point to the next that needs more than
+    ``max_speed`` joins what belongs to different agents, or to no one. A stop is a maximal run of points that stays
     within ``stop_radius`` of its first point for at least ``stop_time``, gaps or not, the earliest first; its
     points are cut out and the moving pieces before and after it are kept.
 
@@ -91,16 +93,19 @@ def segment(
     Args:
         max_gap: seconds, or such as "30min".
         min_points: pieces with fewer points are left out; 1 keeps all.
+        max_speed: metres per second.
         stop_radius: metres, or such as "50m".
         stop_time: seconds, or such as "10min".
 
     Raises:
-        ValueError: neither a gap nor a stop is given, or only one of the two numbers of a stop.
+        ValueError: no gap, speed or stop is given, a speed of 0 or less, or only one of the two numbers of a stop.
     """
     if (stop_radius is None) != (stop_time is None):
         raise ValueError("a stop needs both stop_radius and stop_time")
-    if max_gap is None and stop_radius is None:
-        raise ValueError("give max_gap, or stop_radius and stop_time")
+    if max_gap is None and max_speed is None and stop_radius is None:
+        raise ValueError("give max_gap, max_speed, or stop_radius and stop_time")
+    if max_speed is not None and not max_speed > 0:
+        raise ValueError("max_speed must be above 0")
     moving = np.ones(len(tracks.points), dtype=bool)
     if stop_radius is not None and stop_time is not None:
         from wakefold.kernels.shaping import stop_mask
@@ -109,7 +114,10 @@ def segment(
             raise ValueError("stop_time must be above 0")
         moving = ~stop_mask(tracks.points, tracks.times, tracks.offsets, metres(stop_radius), least)
     longest = np.inf if max_gap is None else seconds(max_gap)
-    cut = ragged.pieces(tracks.offsets, moving, ragged.gaps(tracks.times, tracks.offsets, longest))
+    cuts = ragged.gaps(tracks.times, tracks.offsets, longest)
+    if max_speed is not None:
+        cuts |= fast_legs(tracks, max_speed)
+    cut = ragged.pieces(tracks.offsets, moving, cuts)
     ids = np.array([f"{tracks.ids[i]}#{k}" for i, k in zip(cut.track, cut.number, strict=True)], dtype=np.str_)
     every = take(tracks, cut.rows, cut.offsets, cut.track, ids)
     every = replace(every, attributes={**every.attributes, "agent": _agents(tracks)[cut.track]})
@@ -121,6 +129,12 @@ def segment(
         pieces, points = counted(short.sum(), "piece"), counted(every.lengths[short].sum(), "point")
         notes.append(f"segment: {pieces} of under {min_points} points left out ({points})")
     return _noted(every.select(~short), notes)
+
+
+def fast_legs(tracks: Tracks, speed: float) -> NDArray[np.bool_]:
+    """``(P,)`` true where getting here from the point before of the same track takes more than a speed, m/s."""
+    legs = ragged.step_lengths(tracks.points, tracks.offsets)
+    return (legs > 0) & (legs > speed * np.diff(tracks.times, prepend=-np.inf))
 
 
 def resample(tracks: Tracks, spacing: Length | None = None, *, period: Duration | None = None) -> Tracks:
