@@ -285,3 +285,18 @@ def test_wrong_settings_are_named():
     ]:
         with pytest.raises((ValueError, TypeError), match=message):
             bad()
+
+
+def test_a_notebook_shows_objects_and_relations_and_trusts_no_name():
+    relation = wf.Relation("to<gether", ("person", "person"), rate_on=0.3, rate_off=0.2)
+    model = wf.RelationalModel({"person": wf.ConstantVelocity(q=0.35)}, [relation])
+    f = wf.RelationalFilter(model, "collapsed")
+    places = np.arange(24.0).reshape(12, 2)
+    scan = wf.Detections(places, sd=0.1, ids=["<b>", *(f"p{k}" for k in range(11))], detect_prob=1.0)
+    html = f.step(f.step(f.start(), scan, dt=0.0), scan, dt=9.0)._repr_html_()
+    assert "&lt;b&gt;" in html
+    assert "to&lt;gether" in html
+    assert "<b>" not in html
+    assert "and 2 more" in html  # objects
+    assert html.count("<td>to&lt;gether</td>") == 10
+    assert "<table>" in f.start()._repr_html_()

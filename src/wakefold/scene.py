@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import NamedTuple
 
 import numpy as np
@@ -312,6 +314,30 @@ class Scene:
         there = int((self.existence >= 0.5).sum())
         lost = f", {self.recoveries} recoveries" if self.recoveries else ""
         return f"Scene({there} objects, {likely} probable relations, step {self.step}, t={self.time:g} s{lost})"
+
+    def _repr_html_(self) -> str:
+        there, known = self.tracks(), self.relations(at_least=0.05)
+        objects = [
+            (name, kind, ", ".join(f"{x:,.1f}" for x in at), f"{sd:.2g}", f"{unseen:g}")
+            for name, kind, at, sd, unseen in zip(
+                there.ids, there.kinds, there.position, there.sd, there.unseen, strict=True
+            )
+        ]
+        pairs = [(r, f"{a}, {b}", f"{p:.2f}") for r, a, b, p in zip(*known, strict=True)]
+        return (
+            f"<p>{escape(repr(self))}</p><div style='display:flex;gap:1em'>"
+            f"{_table(('object', 'kind', 'position, m', '± m', 'unseen, s'), objects)}"
+            f"{_table(('relation', 'of', 'probability'), pairs)}</div>"
+        )
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """The first ten rows in HTML, and how many more there are."""
+    lines = ["".join(f"<td>{escape(str(value))}</td>" for value in row) for row in rows[:10]]
+    if len(rows) > 10:
+        lines.append(f"<td colspan={len(head)}>and {len(rows) - 10:,} more</td>")
+    top = "".join(f"<th>{escape(name)}</th>" for name in head)
+    return f"<table><tr>{top}</tr>" + "".join(f"<tr>{line}</tr>" for line in lines) + "</table>"
 
 
 _ARRAYS = ("ids", "kinds", "serial", "mean", "cov", "own_mean", "own_cov", "existence", "unseen", "key")
