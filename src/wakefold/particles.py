@@ -263,7 +263,8 @@ class ParticleFilter:
     def _roll(self, belief: Belief, purpose: int, points: Floats, classes: Ints, dt: float) -> None:
         """Move particles under their own classes, in place, by the noise of the belief's next step."""
         stream = (belief.key, belief.step + 1, purpose)
-        motion.roll(points, classes, *stream, *self._parts(dt), 0, *self.model.dynamics.ground)
+        alone = (NONE, NONE, NONE, points)
+        motion.roll(points, classes, *alone, *stream, *self._parts(dt), 0, *self.model.dynamics.ground)
 
     # Step 4: a fix, and what to do when every weight is zero
 

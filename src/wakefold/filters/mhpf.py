@@ -14,7 +14,7 @@ from wakefold.evidence import CoarseClass, Evidence, Fix, coarse_log_g, in_order
 from wakefold.kernels import motion
 from wakefold.kernels import particles as kernel
 from wakefold.model import Model
-from wakefold.particles import COPIES, NOISE, Floats, Ints, ParticleFilter, elapsed
+from wakefold.particles import COPIES, NOISE, NONE, Floats, Ints, ParticleFilter, elapsed
 from wakefold.units import Time
 
 Rule = Literal["arxiv2016", "gsi2017"]
@@ -154,6 +154,7 @@ class _Sets:
         self.filter = f
         made = kernel.layout(classes, logs, up, len(up))
         self.nodes, self.parent, self.leaf_of, self.start, self.copy_of, self.base_mass = made
+        self.classes, self.up = classes, up
         self.mass = self.base_mass.copy()
         self.factors = np.zeros(len(self.nodes))
         self.copied = logs.copy()  # the weights that the copies were made with
@@ -180,7 +181,7 @@ class _Sets:
         """The sets as they are after the evidence; None when there are none but the base set."""
         if not len(self.copy_of):
             return None
-        tree = (self.leaf_of, self.nodes, self.parent, self.start, self.copy_of)
+        tree = (self.classes, self.up, self.nodes, self.start, self.copy_of)
         where = partial(_copies, self.filter, self.points, tree, self.belief.key, self.belief.step + 1, self.dt)
         return Stack(self.nodes, self.start, self.copy_of, self.copied, self.factors, where)
 
@@ -188,9 +189,12 @@ class _Sets:
 def _copies(f: MHPF, points: Floats, tree: tuple[Ints, ...], key: NDArray[np.uint64], step: int, dt: float) -> Floats:
     """(S, d) where copies of particles at ``points`` are after ``dt`` seconds under the classes of their sets."""
     ground, (kind, scale, parts, h) = f.model.dynamics.ground, f._parts(dt)
-    noise = (key, step, COPIES, kind, scale, parts, h)
-    copies = motion.roll_nested(points, *tree, *noise, *ground)
+    classes, up, nodes, start, copy_of = tree
+    if parts == 0:
+        return points[copy_of]
+    copies, noise = np.empty((len(copy_of), points.shape[1])), (key, step, COPIES, kind, scale, parts, h)
+    motion.roll(points, classes, up, nodes, start, copies, *noise, 0, *ground)
     if parts > 1:  # from the second sub-step on every copy is somewhere else
-        _, nodes, _, start, _ = tree
-        motion.roll(copies, np.repeat(nodes, np.diff(start)), *noise, 1, *ground)
+        under = np.repeat(nodes, start[1:] - start[:-1])
+        motion.roll(copies, under, NONE, NONE, NONE, copies, *noise, 1, *ground)
     return copies
