@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wakefold.belief import Belief, Stack
-from wakefold.evidence import CoarseClass, Evidence, Fix, coarse_log_g, in_order
+from wakefold.evidence import CoarseClass, Evidence, Fix, in_order
 from wakefold.kernels import motion
 from wakefold.kernels import particles as kernel
 from wakefold.model import Model
@@ -62,13 +62,9 @@ class MHPF(ParticleFilter):
             for level in self.levels:
                 self._used[tree.alive(level)] = True
             self._used &= inner
-        self._up = lru_cache(maxsize=64)(self._ancestors_in_use)
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_up"}  # a cache is no value
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
+    def _remember(self) -> None:
+        super()._remember()
         self._up = lru_cache(maxsize=64)(self._ancestors_in_use)
 
     def _ancestors_in_use(self, *more: float) -> Ints:
@@ -167,13 +163,9 @@ class _Sets:
 
     def observe(self, logs: Floats, item: CoarseClass, level: float) -> float:
         """Algorithm 3, lines 6-19: coarse evidence; the log of the mean likelihood, -inf when every weight is zero."""
-        f, tree = self.filter, self.filter.model.filtration
-        observed = kernel.alive_above(self.nodes, self.parent, self.start, tree.death, level)
-        log_g = np.zeros(len(self.nodes))
-        among = np.zeros(len(self.nodes), dtype=bool)
-        among[observed[observed >= 0]] = True
-        alive = np.flatnonzero(among)
-        log_g[alive] = coarse_log_g(tree, item, level, self.nodes[alive], f.likelihood, f.model.dynamics.diagonal)
+        f = self.filter
+        observed = kernel.alive_above(self.nodes, self.parent, self.start, f.model.filtration.death, level)
+        log_g = f._coarse(item, level)[self.nodes]  # read at observed nodes only
         state = (self.base_mass, self.mass, self.factors, observed, log_g, f.rule == "arxiv2016")
         return kernel.spread_coarse(logs, self.leaf_of, self.parent, self.start, *state)
 
