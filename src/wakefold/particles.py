@@ -180,6 +180,7 @@ class ParticleFilter:
     def _remember(self) -> None:
         """What steps look up again and again: no values, so neither copied nor pickled."""
         self._coarse = lru_cache(maxsize=64)(self._coarse_log_g)
+        self._rows = lru_cache(maxsize=1)(self._rows_of_tracks)
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if not hasattr(value, "cache_info")}
@@ -297,14 +298,13 @@ class ParticleFilter:
         A share v of the mass is spread evenly, as the replacement of classes would, so that a class that has no
         particle left can be found again.
         """
-        tracks = self.model.tracks
-        count = len(tracks)
+        count, (_, log_lengths) = len(self.model.tracks), self._rows()
         weights = np.exp(log_weights - log_weights.max())
         mass = np.bincount(classes, weights, count) if self.single else np.ones(count)
         mass = (1.0 - self.depletion) * mass / mass.sum() + self.depletion / count
         u = _draw(random.uniforms, belief.key, belief.step + 1, RECOVER, (1,))
         with np.errstate(divide="ignore"):
-            log_mass = np.log(mass) - np.log(tracks.lengths)
+            log_mass = np.log(mass) - log_lengths
         points, found = self._points_near(fix, log_mass, u)
         return points, found if self.single else classes
 
@@ -326,10 +326,14 @@ class ParticleFilter:
         out[tree.order] = np.repeat(out[alive], tree.hi[alive] - tree.lo[alive])
         return out
 
+    def _rows_of_tracks(self) -> tuple[Ints, Floats]:
+        """``(P,)`` track of each training point, ``(M,)`` logs of the numbers of points; asked by ``_rows``."""
+        lengths = self.model.tracks.lengths
+        return np.repeat(np.arange(len(lengths)), lengths), np.log(lengths)
+
     def _points_near(self, fix: Fix, log_mass: Floats, u: Floats) -> tuple[Floats, Ints]:
         """Training points drawn in proportion to exp(log mass of their track) times the likelihood; their tracks."""
-        tracks = self.model.tracks
-        owner = np.repeat(np.arange(len(tracks)), tracks.lengths)
+        tracks, (owner, _) = self.model.tracks, self._rows()
         log_g = np.empty(len(owner))
         writable = tracks.points.copy()  # those of a model are not: the kernel would be compiled once more
         kernel.log_likelihood(writable, *self._fix(fix)[:-1], log_g)
