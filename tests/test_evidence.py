@@ -116,3 +116,20 @@ def test_proper_coarse_likelihood_is_a_distribution_over_the_level(model):
         every = np.array([c for c in range(len(tree.birth)) if tree.birth[c] <= level])
         found = alive_classes(tree, every, float(level))
         assert found.tolist() == [tree.ancestor(int(c), float(level)) for c in every]
+
+
+@pytest.mark.parametrize("likelihood", ["log", "gaussian"])
+def test_a_filter_remembers_the_likelihood_of_a_report_for_every_class(model, likelihood):
+    """Of single tracks that of the class that holds them at the level of the report; and other reports are others."""
+    tree, f = model.filtration, wf.BL1(model, 10, likelihood=likelihood)
+    leaves, seen = np.arange(len(tree)), set()
+    for level in np.unique(tree.birth)[:-1].tolist():
+        alive = tree.alive(level)
+        for class_ in alive.tolist():
+            item = wf.CoarseClass(class_, level=level, confidence=0.7)
+            for classes, above in ((leaves, alive_classes(tree, leaves, level)), (alive, alive)):
+                expected = coarse_log_g(tree, item, level, above, likelihood, model.dynamics.diagonal)
+                for _ in range(2):
+                    assert np.array_equal(f._coarse(item, level)[classes], expected)
+            seen.add(f._coarse(item, level).tobytes())
+    assert len(seen) > 1

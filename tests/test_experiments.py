@@ -215,3 +215,11 @@ def test_calibrated_is_not_run_again_for_another_noise_of_the_model():
     quiet = simulate.run(dict(simulate.job(OUT, method, TINY).spec))
     spec = dict(simulate.job(OUT, method, TINY).spec)
     assert simulate.run(spec | {"setting": loud._asdict()}) == quiet
+
+
+def test_observations_depend_on_nothing_that_is_left_out_when_they_are_kept():
+    for setting in (OUT._replace(kappa=0.75), OUT._replace(epsilon="wide"), OUT._replace(wrong=0.3)):
+        kept = simulate._observed(simulate._seen(setting), 2, 0, 1)
+        for seen, made in zip(kept, Scenario(setting, 2).observations(0, 1), strict=True):
+            assert np.array_equal(seen.fix, made.fix)
+            assert seen.report == made.report

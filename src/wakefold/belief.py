@@ -103,7 +103,8 @@ class Stack:
     @cached_property
     def log_weights(self) -> Floats:
         """``(S,)`` log-weights of the copies."""
-        return self.copied[self.particle] + np.repeat(self.factors, np.diff(self.start))
+        sizes = self.start[1:] - self.start[:-1]  # np.diff takes 5 µs more
+        return self.copied[self.particle] + np.repeat(self.factors, sizes)
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "points": self.points, "where": None}  # not the model it is worked out from

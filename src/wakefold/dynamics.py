@@ -159,7 +159,7 @@ class Dynamics:
         at = np.ascontiguousarray(np.atleast_2d(np.asarray(points, dtype=np.float64)))
         chosen = np.ascontiguousarray(np.broadcast_to(np.asarray(classes, dtype=np.int64), (len(at),)))
         out = np.empty_like(at)
-        drifts(at, chosen, out, self.lo, self.hi, self.field, *self.reach, self.dims)
+        drifts(at, chosen, np.empty(0, dtype=np.int64), out, *self.ground)
         return out
 
     def _departure(self, filtration: Filtration) -> float:
@@ -172,7 +172,7 @@ class Dynamics:
         if (around < 0).any():  # a single track has nothing to depart from
             return 0.0
         ranks = (leaves[rows], self.lo[around], self.hi[around])
-        residual = departures(self.points[rows], self.velocities[rows], *ranks, self.field, *self.reach, self.dims)
+        residual = departures(self.points[rows], self.velocities[rows], *ranks, *self.ground[2:])
         known = np.isfinite(residual)
         return float(1.4826 * np.median(np.abs(residual[known])) * math.sqrt(self.interval)) if known.any() else 0.0
 

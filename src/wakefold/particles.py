@@ -10,13 +10,14 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, overload
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wakefold.belief import Belief
-from wakefold.evidence import CoarseClass, Family, Fix, alive_classes, coarse_log_g
+from wakefold.evidence import CoarseClass, Family, Fix, coarse_log_g
 from wakefold.kernels import motion, random
 from wakefold.kernels import particles as kernel
 from wakefold.units import Time, timestamp
@@ -174,6 +175,19 @@ class ParticleFilter:
         self._noise = NOISES[model.dynamics.noise], model.dynamics.scale
         self._changed = round(self.depletion * self.particles) if self.single else 0
         self._even = np.full(self.particles, -math.log(self.particles))  # log-weights of an unweighted set
+        self._remember()
+
+    def _remember(self) -> None:
+        """What steps look up again and again: no values, so neither copied nor pickled."""
+        self._coarse = lru_cache(maxsize=64)(self._coarse_log_g)
+        self._rows = lru_cache(maxsize=1)(self._rows_of_tracks)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if not hasattr(value, "cache_info")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._remember()
 
     # Prior and forecast
 
@@ -263,7 +277,8 @@ class ParticleFilter:
     def _roll(self, belief: Belief, purpose: int, points: Floats, classes: Ints, dt: float) -> None:
         """Move particles under their own classes, in place, by the noise of the belief's next step."""
         stream = (belief.key, belief.step + 1, purpose)
-        motion.roll(points, classes, *stream, *self._parts(dt), 0, *self.model.dynamics.ground)
+        alone = (NONE, NONE, NONE, points)
+        motion.roll(points, classes, *alone, *stream, *self._parts(dt), 0, *self.model.dynamics.ground)
 
     # Step 4: a fix, and what to do when every weight is zero
 
@@ -283,29 +298,42 @@ class ParticleFilter:
         A share v of the mass is spread evenly, as the replacement of classes would, so that a class that has no
         particle left can be found again.
         """
-        tracks = self.model.tracks
-        count = len(tracks)
+        count, (_, log_lengths) = len(self.model.tracks), self._rows()
         weights = np.exp(log_weights - log_weights.max())
         mass = np.bincount(classes, weights, count) if self.single else np.ones(count)
         mass = (1.0 - self.depletion) * mass / mass.sum() + self.depletion / count
         u = _draw(random.uniforms, belief.key, belief.step + 1, RECOVER, (1,))
         with np.errstate(divide="ignore"):
-            log_mass = np.log(mass) - np.log(tracks.lengths)
+            log_mass = np.log(mass) - log_lengths
         points, found = self._points_near(fix, log_mass, u)
         return points, found if self.single else classes
 
     def _recover_class(self, belief: Belief, item: CoarseClass, level: float) -> Ints:
         """Classes drawn from the prior in proportion to the likelihood of coarse evidence that no particle met."""
-        tree = self.model.filtration
-        above = alive_classes(tree, np.arange(len(tree)), level)
-        log_g = coarse_log_g(tree, item, level, above, self.likelihood, self.model.dynamics.diagonal)
+        log_g = self._coarse(item, level)[: len(self.model.filtration)]
         u = _draw(random.uniforms, belief.key, belief.step + 1, RECOVER, (1,))
         return pick_strata(log_g, u, self.particles)
 
+    def _coarse_log_g(self, item: CoarseClass, level: float) -> Floats:
+        """``(C,)`` log-likelihood of coarse evidence for the class alive at its level above (or at) each class.
+
+        Asked by ``_coarse``, which remembers the answer: reports name few classes, and working it out for the
+        particles at hand took longer than the rest of a step. 0 for inner classes that are not alive at the level.
+        """
+        tree = self.model.filtration
+        alive, out = tree.alive(level), np.zeros(len(tree.birth))
+        out[alive] = coarse_log_g(tree, item, level, alive, self.likelihood, self.model.dynamics.diagonal)
+        out[tree.order] = np.repeat(out[alive], tree.hi[alive] - tree.lo[alive])
+        return out
+
+    def _rows_of_tracks(self) -> tuple[Ints, Floats]:
+        """``(P,)`` track of each training point, ``(M,)`` logs of the numbers of points; asked by ``_rows``."""
+        lengths = self.model.tracks.lengths
+        return np.repeat(np.arange(len(lengths)), lengths), np.log(lengths)
+
     def _points_near(self, fix: Fix, log_mass: Floats, u: Floats) -> tuple[Floats, Ints]:
         """Training points drawn in proportion to exp(log mass of their track) times the likelihood; their tracks."""
-        tracks = self.model.tracks
-        owner = np.repeat(np.arange(len(tracks)), tracks.lengths)
+        tracks, (owner, _) = self.model.tracks, self._rows()
         log_g = np.empty(len(owner))
         writable = tracks.points.copy()  # those of a model are not: the kernel would be compiled once more
         kernel.log_likelihood(writable, *self._fix(fix)[:-1], log_g)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from wakefold.belief import Belief
-from wakefold.evidence import Evidence, Fix, alive_classes, coarse_log_g, in_order
+from wakefold.evidence import Evidence, Fix, in_order
 from wakefold.kernels import particles as kernel
 from wakefold.model import Model
 from wakefold.particles import NOISE, ParticleFilter, elapsed
@@ -87,10 +87,7 @@ def _step(
                 points, classes = f._recover_fix(belief, item, classes, logs)
                 logs = f._even.copy()
         elif coarse:
-            above = alive_classes(tree, classes, level)
-            gain = kernel.multiply(
-                logs, coarse_log_g(tree, item, level, above, f.likelihood, f.model.dynamics.diagonal)
-            )
+            gain = kernel.multiply(logs, f._coarse(item, level)[classes])
             if gain == -np.inf:
                 recoveries += 1
                 classes = f._recover_class(belief, item, level)

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wakefold.belief import Belief, Stack
-from wakefold.evidence import CoarseClass, Evidence, Fix, coarse_log_g, in_order
+from wakefold.evidence import CoarseClass, Evidence, Fix, in_order
 from wakefold.kernels import motion
 from wakefold.kernels import particles as kernel
 from wakefold.model import Model
-from wakefold.particles import COPIES, NOISE, Floats, Ints, ParticleFilter, elapsed
+from wakefold.particles import COPIES, NOISE, NONE, Floats, Ints, ParticleFilter, elapsed
 from wakefold.units import Time
 
 Rule = Literal["arxiv2016", "gsi2017"]
@@ -62,13 +62,9 @@ class MHPF(ParticleFilter):
             for level in self.levels:
                 self._used[tree.alive(level)] = True
             self._used &= inner
-        self._up = lru_cache(maxsize=64)(self._ancestors_in_use)
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_up"}  # a cache is no value
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
+    def _remember(self) -> None:
+        super()._remember()
         self._up = lru_cache(maxsize=64)(self._ancestors_in_use)
 
     def _ancestors_in_use(self, *more: float) -> Ints:
@@ -154,6 +150,7 @@ class _Sets:
         self.filter = f
         made = kernel.layout(classes, logs, up, len(up))
         self.nodes, self.parent, self.leaf_of, self.start, self.copy_of, self.base_mass = made
+        self.classes, self.up = classes, up
         self.mass = self.base_mass.copy()
         self.factors = np.zeros(len(self.nodes))
         self.copied = logs.copy()  # the weights that the copies were made with
@@ -166,13 +163,9 @@ class _Sets:
 
     def observe(self, logs: Floats, item: CoarseClass, level: float) -> float:
         """Algorithm 3, lines 6-19: coarse evidence; the log of the mean likelihood, -inf when every weight is zero."""
-        f, tree = self.filter, self.filter.model.filtration
-        observed = kernel.alive_above(self.nodes, self.parent, self.start, tree.death, level)
-        log_g = np.zeros(len(self.nodes))
-        among = np.zeros(len(self.nodes), dtype=bool)
-        among[observed[observed >= 0]] = True
-        alive = np.flatnonzero(among)
-        log_g[alive] = coarse_log_g(tree, item, level, self.nodes[alive], f.likelihood, f.model.dynamics.diagonal)
+        f = self.filter
+        observed = kernel.alive_above(self.nodes, self.parent, self.start, f.model.filtration.death, level)
+        log_g = f._coarse(item, level)[self.nodes]  # read at observed nodes only
         state = (self.base_mass, self.mass, self.factors, observed, log_g, f.rule == "arxiv2016")
         return kernel.spread_coarse(logs, self.leaf_of, self.parent, self.start, *state)
 
@@ -180,7 +173,7 @@ class _Sets:
         """The sets as they are after the evidence; None when there are none but the base set."""
         if not len(self.copy_of):
             return None
-        tree = (self.leaf_of, self.nodes, self.parent, self.start, self.copy_of)
+        tree = (self.classes, self.up, self.nodes, self.start, self.copy_of)
         where = partial(_copies, self.filter, self.points, tree, self.belief.key, self.belief.step + 1, self.dt)
         return Stack(self.nodes, self.start, self.copy_of, self.copied, self.factors, where)
 
@@ -188,9 +181,12 @@ class _Sets:
 def _copies(f: MHPF, points: Floats, tree: tuple[Ints, ...], key: NDArray[np.uint64], step: int, dt: float) -> Floats:
     """(S, d) where copies of particles at ``points`` are after ``dt`` seconds under the classes of their sets."""
     ground, (kind, scale, parts, h) = f.model.dynamics.ground, f._parts(dt)
-    noise = (key, step, COPIES, kind, scale, parts, h)
-    copies = motion.roll_nested(points, *tree, *noise, *ground)
+    classes, up, nodes, start, copy_of = tree
+    if parts == 0:
+        return points[copy_of]
+    copies, noise = np.empty((len(copy_of), points.shape[1])), (key, step, COPIES, kind, scale, parts, h)
+    motion.roll(points, classes, up, nodes, start, copies, *noise, 0, *ground)
     if parts > 1:  # from the second sub-step on every copy is somewhere else
-        _, nodes, _, start, _ = tree
-        motion.roll(copies, np.repeat(nodes, np.diff(start)), *noise, 1, *ground)
+        under = np.repeat(nodes, start[1:] - start[:-1])
+        motion.roll(copies, under, NONE, NONE, NONE, copies, *noise, 1, *ground)
     return copies

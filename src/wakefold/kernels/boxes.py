@@ -15,7 +15,7 @@ whole harbour tests 1,500 nodes for 11,000 points. What is left is a list of row
 # (numba gives an intrinsic its typing context: it is called with one argument less than it is defined with)
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import ir
@@ -23,16 +23,18 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from wakefold.kernels.compile import inner, kernel
+from wakefold.kernels.compile import inner
 from wakefold.kernels.simd import LANES, Vector
 
 WIDTH = LANES["float64"]
 FAN = LANES["float32"]
 SHIFT = FAN.bit_length() - 1
-_SINGLES = Vector(types.float32)
+_SINGLES, _DOUBLES = Vector(types.float32), Vector(types.float64)
 WORD = ir.IntType(64)
 AHEAD = 16  # rows are fetched so many before their use
 CACHE_LINE = 64  # bytes
+SPARE = FAN + AHEAD + 2  # elements of a list that are written or read beyond its end
+FEW = 32  # rows that are sooner looked at than picked
 SLACK = 1e-6  # relative; float32 rounds by 6e-8: the corner, the position, their difference, its square
 
 
@@ -43,6 +45,22 @@ class Field(NamedTuple):
     leaf_at: np.ndarray  # (M + 1,) first row of each leaf rank
     boxes: np.ndarray  # (nodes of all levels * 2 d * FAN,) float32: in each node d lower, d upper corners of FAN boxes
     level_at: np.ndarray  # (levels + 1,) first node of each level; the boxes of level 0 are those of the rows
+
+
+class Bare(NamedTuple):
+    """A ``Field`` as helpers of kernels are told of it: pointers, and two numbers.
+
+    An array handed to a helper takes seven words and two atomic operations on its count of references. As arrays, the
+    field and the lists of rows took a third of the time of the velocities under small trees, and most of the time it
+    took to compile them. Whoever makes pointers keeps the arrays.
+    """
+
+    data: Any
+    leaf_at: Any
+    boxes: Any
+    level_at: Any
+    rows: int  # the row of this number is the empty one
+    top: int  # the highest level
 
 
 def field(points, velocities, starts):
@@ -91,7 +109,9 @@ def spread(builder, value, lanes):
 
 
 def data_of(context, builder, signature, arguments, place):
-    """Pointer to the first element of the array argument at a place."""
+    """Pointer to the first element of the array argument at a place, which may be that pointer."""
+    if isinstance(signature.args[place], types.CPointer):
+        return arguments[place]
     return context.make_array(signature.args[place])(context, builder, arguments[place]).data
 
 
@@ -111,6 +131,29 @@ def sum_of(builder, terms, flags=()):
     for term in terms[1:]:
         total = builder.fadd(total, term, flags=flags)
     return total
+
+
+@intrinsic
+def pointer(typing, array, element):
+    """Pointer to an element of a flat or contiguous array, or so many elements on from a pointer; no bounds, no -1."""
+
+    def generate(context, builder, signature, arguments):
+        return builder.gep(data_of(context, builder, signature, arguments, 0), [arguments[1]])
+
+    return types.CPointer(array.dtype)(array, types.intp), generate
+
+
+@inner
+def bare(data, leaf_at, boxes, level_at):
+    """The ``Bare`` of the arrays of a ``Field``."""
+    rows, top = leaf_at[len(leaf_at) - 1], len(level_at) - 2
+    return Bare(pointer(data, 0), pointer(leaf_at, 0), pointer(boxes, 0), pointer(level_at, 0), rows, top)
+
+
+@intrinsic
+def hold(typing, array):
+    """Keeps an array made in a kernel, of which pointers were taken, up to here."""
+    return types.none(array), lambda context, builder, signature, arguments: context.get_dummy_value()
 
 
 @intrinsic
@@ -205,23 +248,27 @@ def _append(typing, out, count, base, mask):
     return types.intp(out, types.intp, types.intp, types.intp), generate
 
 
-@kernel
-def scratch(field):
-    """Room for the lists of ``near``."""
-    return np.empty((2, field.leaf_at[-1] + FAN + AHEAD + 2), dtype=np.int32)
+@inner
+def scratch(leaf_at):
+    """Room for two pairs of the lists that ``rows_near`` makes."""
+    return np.empty(4 * (leaf_at[len(leaf_at) - 1] + SPARE), dtype=np.int32)
 
 
-@kernel
-def near(q, first, last, field, reach2, lists, dims):
+@inner
+def rows_near(q, first, last, field, reach2, lists, dims):
     """Rows of ``[first, last)`` that may hold points within reach of q.
 
     Boxes are tested in float32, with a little added to the reach for its rounding: no row within reach is missed.
 
+    Args:
+        q: pointer to d coordinates. field: ``Bare``. lists: pointer to one half of what ``scratch`` made.
+
     Returns:
-        which of the two lists holds the rows, in rising order, and how many they are.
+        pointer to the rows, in rising order, and how many they are.
     """
+    here, there = lists, pointer(lists, field.rows + SPARE)
     if first >= last:
-        return 0, 0
+        return here, 0
     size = 0.0
     for k in range(len(dims)):
         size += abs(q[k])
@@ -230,13 +277,12 @@ def near(q, first, last, field, reach2, lists, dims):
     level, low, high = 0, first >> SHIFT, (last - 1) >> SHIFT  # nodes of this level
     while high - low >= FAN:
         level, low, high = level + 1, low >> SHIFT, high >> SHIFT
-    side, count = 0, high - low + 1
+    count = high - low + 1
     for i in range(count):
-        lists[0, i] = low + i
+        here[i] = np.int32(low + i)
     while True:
         shift = SHIFT * level
-        begin, end = first >> shift, (last - 1) >> shift  # boxes of this level
-        here, there, found = lists[side], lists[1 - side], 0
+        begin, end, found = first >> shift, (last - 1) >> shift, 0  # boxes of this level
         for i in range(count):
             node = np.intp(here[i])
             mask = _touched(field.boxes, field.level_at[level] + node, around, reach)
@@ -245,59 +291,93 @@ def near(q, first, last, field, reach2, lists, dims):
             if node == end >> SHIFT:
                 mask &= (2 << (end & (FAN - 1))) - 1
             found = _append(there, found, node << SHIFT, mask)
-        side, count = 1 - side, found
+        here, there, count = there, here, found
         if level == 0:
-            return side, count
+            return here, count
         level -= 1
 
 
 # The nearest point
 
 
-@inner
-def _far(q, boxes, node, child, reach2, dims):
-    """Whether a box surely lies at least sqrt(reach2) away from q; its corners are rounded to float32."""
+@intrinsic
+def _nearer(typing, data, row, q, found, dims):
+    """``found`` and a row of points: in each lane the least squared distance from q and the first row that has it."""
     d = len(dims)
-    first = node * 2 * d * FAN + child
-    total = 0.0
-    for k in range(d):
-        low, high = np.float64(boxes[first + k * FAN]), np.float64(boxes[first + (d + k) * FAN])
-        gap = max(max(low - SLACK * abs(low) - q[k], q[k] - high - SLACK * abs(high)), 0.0)
-        total += gap * gap
-    return total >= reach2
+
+    def generate(context, builder, signature, arguments):
+        flat = data_of(context, builder, signature, arguments, 0)
+        place = coordinates(builder, arguments[2], d, WIDTH)
+        first = builder.mul(arguments[1], ir.Constant(WORD, 2 * d * WIDTH))
+        gaps = [
+            builder.fsub(vector_at(builder, flat, builder.add(first, ir.Constant(WORD, k * WIDTH)), WIDTH), place[k])
+            for k in range(d)
+        ]
+        square = sum_of(builder, [builder.fmul(gap, gap) for gap in gaps])
+        row = spread(builder, builder.sitofp(arguments[1], ir.DoubleType()), WIDTH)
+        best, rows = (builder.extract_value(arguments[3], k) for k in range(2))
+        less = builder.fcmp_ordered("<", square, best)
+        out = [builder.select(less, square, best), builder.select(less, row, rows)]
+        return context.make_tuple(builder, signature.return_type, out)
+
+    return found(data, types.intp, q, found, dims), generate
+
+
+@intrinsic
+def _nothing_near(typing, dims):
+    """What ``_nearer`` starts from."""
+    result = types.UniTuple(_DOUBLES, 2)
+
+    def generate(context, builder, signature, arguments):
+        return context.make_tuple(builder, result, [all_lanes(math.inf, WIDTH), all_lanes(-1.0, WIDTH)])
+
+    return result(dims), generate
+
+
+@intrinsic
+def _nearest_of(typing, found, dims):
+    """Least squared distance of the lanes, and the place in the data of the first point that has it."""
+    d, result = len(dims), types.Tuple((types.float64, types.intp))
+
+    def generate(context, builder, signature, arguments):
+        best = row = lane = None
+        for k in range(WIDTH):
+            at = ir.Constant(ir.IntType(32), k)
+            x, r = (builder.extract_element(builder.extract_value(arguments[0], j), at) for j in range(2))
+            if best is None:
+                best, row, lane = x, r, ir.Constant(WORD, 0)
+                continue
+            tie = builder.and_(builder.fcmp_ordered("==", x, best), builder.fcmp_ordered("<", r, row))
+            less = builder.or_(builder.fcmp_ordered("<", x, best), tie)
+            best, row = builder.select(less, x, best), builder.select(less, r, row)
+            lane = builder.select(less, ir.Constant(WORD, k), lane)
+        row = builder.mul(builder.fptosi(row, WORD), ir.Constant(WORD, 2 * d * WIDTH))
+        return context.make_tuple(builder, result, [best, builder.add(row, lane)])
+
+    return result(found, dims), generate
 
 
 @inner
-def _next_row(q, row, last, field, reach2, dims):
-    """First row in ``[row, last)`` whose box is within reach of q; ``last`` when there is none."""
-    top = len(field.level_at) - 2
-    while row < last:
-        level = 0  # the largest box that starts here and ends within the range
-        while level < top and (row >> (level * SHIFT)) & (FAN - 1) == 0 and row + (FAN << (level * SHIFT)) <= last:
-            level += 1
-        while True:
-            box = row >> (level * SHIFT)
-            if _far(q, field.boxes, field.level_at[level] + (box >> SHIFT), box & (FAN - 1), reach2, dims):
-                row += 1 << (level * SHIFT)
-                break
-            if level == 0:
-                return row
-            level -= 1
-    return last
+def nearest(q, first, last, field, best2, best, lists, dims):
+    """Nearest point to q in rows ``[first, last)``, given the best so far (squared distance, place in the data).
 
+    The first of several. A few rows are looked at one and all, of many only those within reach of the best so far.
 
-@inner
-def nearest(q, first, last, field, best2, best, dims):
-    """Nearest point to q in rows ``[first, last)``, given the best so far (squared distance, place in the data)."""
-    d = len(dims)
-    row = _next_row(q, first, last, field, best2, dims)
-    while row < last:
-        for place in range(row * 2 * d * WIDTH, row * 2 * d * WIDTH + WIDTH):
-            dist2 = 0.0
-            for k in range(d):
-                gap = field.data[place + k * WIDTH] - q[k]
-                dist2 += gap * gap
-            if dist2 < best2:
-                best2, best = dist2, place
-        row = _next_row(q, row + 1, last, field, best2, dims)
-    return best2, best
+    Args:
+        q, field, lists: see ``rows_near``; the lists are not those that hold anything.
+    """
+    found, bound = _nothing_near(dims), best2
+    if last - first <= FEW:
+        for row in range(first, last):
+            found = _nearer(field.data, row, q, found, dims)
+    else:
+        if bound == math.inf:
+            for row in range(first, last, (last - first) // FEW):
+                found = _nearer(field.data, row, q, found, dims)
+            bound, _ = _nearest_of(found, dims)
+        rows, count = rows_near(q, first, last, field, bound, lists, dims)
+        found = _nothing_near(dims)
+        for i in range(count):
+            found = _nearer(field.data, np.intp(rows[i]), q, found, dims)
+    distance2, place = _nearest_of(found, dims)
+    return (distance2, place) if distance2 < best2 else (best2, best)

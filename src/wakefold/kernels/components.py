@@ -1,10 +1,13 @@
 """Gaussian components: motion beside a track, weight and correction by a fix; notation as in kernels/particles.py."""
 
+# pyright: reportCallIssue=false
+# (numba gives an intrinsic its typing context: it is called with one argument less than it is defined with)
+
 import math
 
 import numpy as np
 
-from wakefold.kernels.boxes import WIDTH, Field, nearest
+from wakefold.kernels.boxes import WIDTH, bare, hold, nearest, pointer, scratch
 from wakefold.kernels.compile import inner, kernel
 from wakefold.kernels.motion import drifts
 
@@ -29,16 +32,17 @@ def advance(
     Across the heading an offset from the nearest point of the track shrinks to the share ``keep``, and the variance
     grows by ``across2`` (n,); along it the variance grows by ``along2`` (n,). From ``lo`` on: ``Dynamics.ground``.
     """
-    d, field = len(dims), Field(data, leaf_at, boxes, level_at)
+    d, field, room = len(dims), bare(data, leaf_at, boxes, level_at), scratch(leaf_at)
+    alone = np.empty(0, dtype=np.int64)
     drift, along, moved = np.empty_like(points), np.empty((d, d)), np.empty((d, d))
     shrink, offset = np.empty((d, d)), np.empty(d)
     for _ in range(parts):
-        drifts(points, classes, drift, lo, hi, field, reach2, floor2, dims)
+        drifts(points, classes, alone, drift, lo, hi, data, leaf_at, boxes, level_at, reach2, floor2, dims)
         for i in range(len(points)):
-            first, last = field.leaf_at[lo[classes[i]]], field.leaf_at[hi[classes[i]]]
-            _, place = nearest(points[i], first, last, field, np.inf, first * 2 * d * WIDTH, dims)
+            first, last, q = leaf_at[lo[classes[i]]], leaf_at[hi[classes[i]]], pointer(points, i * d)
+            _, place = nearest(q, first, last, field, np.inf, first * 2 * d * WIDTH, pointer(room, 0), dims)
             for k in range(d):
-                offset[k] = field.data[place + k * WIDTH] - points[i, k]
+                offset[k] = data[place + k * WIDTH] - points[i, k]
             _heading(drift[i], along, dims)
             for j in range(d):
                 for k in range(d):
@@ -59,6 +63,7 @@ def advance(
                     for m in range(d):
                         total += moved[j, m] * shrink[m, k]  # ``shrink`` is symmetric
                     covs[i, j, k] = total
+    hold(room)
 
 
 @kernel

@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 
-from wakefold.kernels.boxes import WIDTH, Field, near, nearest, scratch
+from wakefold.kernels.boxes import WIDTH, bare, hold, nearest, pointer, rows_near, scratch
 from wakefold.kernels.compile import inner, kernel
-from wakefold.kernels.neighbours import add_rows, mean_velocity, nothing, velocity, velocity_at
+from wakefold.kernels.neighbours import add_rows, mean_velocity, nothing, velocity_at
 from wakefold.kernels.random import normals, uniforms
 
 STILL, GAUSSIAN, UNIFORM = 0, 1, 2  # noise of the motion
@@ -29,80 +29,6 @@ def _within(p, q, reach2, dims):
     return total < reach2
 
 
-@kernel
-def drifts(points, classes, out, lo, hi, field, reach2, floor2, dims):
-    """Localised velocity at each of the points (n, d) under its own class, into ``out`` (n, d)."""
-    lists, side, count, listed = scratch(field), 0, 0, -1  # the rows near ``centre`` of the class ``listed``
-    centre = np.empty(len(dims))
-    for i in range(len(points)):
-        c = classes[i]
-        twin = i > 0 and c == classes[i - 1]  # resampling leaves runs of one class in one place
-        for k in range(len(dims)):
-            twin = twin and points[i, k] == points[i - 1, k]
-        if twin:
-            for k in range(len(dims)):
-                out[i, k] = out[i - 1, k]
-            continue
-        first, last = field.leaf_at[lo[c]], field.leaf_at[hi[c]]
-        share = SHARE_OF_TRACK if hi[c] - lo[c] == 1 else SHARE
-        if c != listed or not _within(points[i], centre, reach2 * share**2, dims):
-            side, count = near(points[i], first, last, field, reach2 * (1.0 + share) ** 2, lists, dims)
-            listed = c
-            for k in range(len(dims)):
-                centre[k] = points[i, k]
-        velocity(points[i], first, last, lists[side], count, field, reach2, floor2, out[i], dims)
-
-
-@inner
-def _noise(key, step, purpose, kind, scale, h, parts, size):
-    """``size`` numbers for each of the sub-steps of ``h`` seconds, one after the other, metres.
-
-    Gaussian noise has sd scale * sqrt(h) in each sub-step; the papers' uniform noise comes once, in the last.
-    """
-    out = np.empty(parts * size)
-    if kind == GAUSSIAN:
-        sd = scale * math.sqrt(h)
-        normals(key, step, purpose, out)
-        for i in range(len(out)):
-            out[i] *= sd
-        return out
-    for i in range(len(out)):
-        out[i] = 0.0
-    if kind == UNIFORM and parts > 0:
-        last = out[len(out) - size :]
-        uniforms(key, step, purpose, last)
-        for i in range(size):
-            last[i] = scale * (2.0 * last[i] - 1.0)
-    return out
-
-
-@inner
-def _move(points, classes, noise, h, begin, parts, lo, hi, field, reach2, floor2, dims):
-    """Move points (n, d) under their own classes through sub-steps ``begin`` to ``parts`` of the noise, in place."""
-    drift = np.empty((len(points), len(dims)))
-    for part in range(begin, parts):
-        drifts(points, classes, drift, lo, hi, field, reach2, floor2, dims)
-        place = part * len(points) * len(dims)
-        for i in range(len(points)):
-            for k in range(len(dims)):
-                points[i, k] += h * drift[i, k] + noise[place + i * len(dims) + k]
-
-
-@kernel
-def roll(
-    points, classes, key, step, purpose, kind, scale, parts, h, begin,
-    lo, hi, data, leaf_at, boxes, level_at, reach2, floor2, dims,
-):  # fmt: skip
-    """Move points (n, d) under their own classes through the sub-steps from ``begin`` of ``parts``, in place.
-
-    A sub-step takes ``h`` seconds; the noise is that of the stream (key, step, purpose). From ``lo`` on:
-    ``Dynamics.ground`` (a ``Field`` handed over whole would cost 1 µs more).
-    """
-    field = Field(data, leaf_at, boxes, level_at)
-    noise = _noise(key, step, purpose, kind, scale, h, parts, len(points) * len(dims))
-    _move(points, classes, noise, h, begin, parts, lo, hi, field, reach2, floor2, dims)
-
-
 @inner
 def _first_from(rows, count, row):
     """How many of the ``count`` rows, in rising order, come before a row; ``np.searchsorted`` compiles for a second."""
@@ -116,94 +42,118 @@ def _first_from(rows, count, row):
     return low
 
 
-@inner
-def _chain(q, node, nodes, parent, lo, hi, rows, count, field, reach2, floor2, out, dims):
-    """Localised velocity at q under a leaf node and every ancestor of it in use, into ``out``, from the leaf outwards.
+@kernel
+def drifts(points, classes, up, out, lo, hi, data, leaf_at, boxes, level_at, reach2, floor2, dims):
+    """Localised velocity at points under their own classes, and under those above, into ``out``.
 
-    The classes above a leaf are nested intervals of ranks. Going outwards, each class adds two ranges of the rows near
-    q to the sums of the one inside it, so every neighbour is looked at once and serves all the classes that hold it.
+    The inverse-distance mean of the velocities in the open ball of radius sqrt(reach2); of an empty ball, the velocity
+    of the nearest point of the class (docs/algorithm.md, Dynamics; Hawasly et al. 2016, Section 3.1).
+
+    The classes above one are nested intervals of ranks. Going outwards, each class adds two ranges of the rows near q
+    to the sums of the one inside it, so every neighbour is looked at once and serves all the classes that hold it.
 
     Args:
-        rows: ``count`` rows of the outermost class, in rising order, with all of its points in the ball.
+        points: (n, d). classes: (n,) of each.
+        up: (C,) the class above each that counts, -1 for none; or empty, when none counts anywhere.
+        out: (rows, d): for each point its class, then those above it, from the inside outwards.
+        lo: and on, see ``Dynamics.ground``.
     """
-    sums = nothing(dims)
-    first = last = field.leaf_at[lo[nodes[node]]]
-    best2, best = np.inf, first * 2 * len(dims) * WIDTH  # nearest point so far; wanted only while the ball is empty
-    left = right = _first_from(rows, count, first)  # the rows near q that are summed: rows[left:right]
-    place = 0
-    while node >= 0:
-        outer_first, outer_last = field.leaf_at[lo[nodes[node]]], field.leaf_at[hi[nodes[node]]]
-        outer_left, outer_right = left, right
-        while outer_left > 0 and rows[outer_left - 1] >= outer_first:
-            outer_left -= 1
-        while outer_right < count and rows[outer_right] < outer_last:
-            outer_right += 1
-        if outer_left < left:  # often nothing is added on one side
-            sums = add_rows(q, rows, outer_left, left, field, reach2, floor2, sums, dims)
-        if right < outer_right:
-            sums = add_rows(q, rows, right, outer_right, field, reach2, floor2, sums, dims)
-        if not mean_velocity(sums, out[place], dims):
-            best2, best = nearest(q, outer_first, first, field, best2, best, dims)
-            best2, best = nearest(q, last, outer_last, field, best2, best, dims)
-            velocity_at(field, best, out[place], dims)
-        first, last, left, right = outer_first, outer_last, outer_left, outer_right
-        place += 1
-        node = parent[node]
-
-
-@inner
-def _move_nested(points, leaf_of, nodes, parent, start, noise, h, copies, lo, hi, field, reach2, floor2, dims):
-    """Write the copies (S, d) where one sub-step takes them from the points (N, d); ``noise`` is S d numbers."""
-    cursor = np.empty(len(nodes), dtype=np.int64)
-    for a in range(len(nodes)):
-        cursor[a] = start[a]
-    drift = np.empty((len(nodes), len(dims)))  # under a particle's leaf and its ancestors, from the leaf outwards
-    lists, side, count, listed = scratch(field), 0, 0, -1  # the rows near ``centre`` of the node ``listed``
-    share2, wide2 = reach2 * SHARE**2, reach2 * (1.0 + SHARE) ** 2
-    q, before, centre = np.empty(len(dims)), np.empty(len(dims)), np.empty(len(dims))
+    d, field, room = len(dims), bare(data, leaf_at, boxes, level_at), scratch(leaf_at)
+    lists, spare = pointer(room, 0), pointer(room, len(room) // 2)
+    rows, count, listed, centre = lists, 0, -1, pointer(points, 0)  # the rows near ``centre`` of the class ``listed``
+    at = pointer(out, 0)
     for i in range(len(points)):
-        twin = i > 0 and leaf_of[i] == leaf_of[i - 1]  # resampling leaves runs of one class in one place
-        for k in range(len(dims)):
-            q[k] = points[i, k]
-            twin = twin and q[k] == before[k]
-            before[k] = q[k]
-        if not twin:
-            top = leaf_of[i]
-            while parent[top] >= 0:
-                top = parent[top]
-            if top != listed or not _within(q, centre, share2, dims):
-                first, last = field.leaf_at[lo[nodes[top]]], field.leaf_at[hi[nodes[top]]]
-                side, count = near(q, first, last, field, wide2, lists, dims)
-                listed = top
-                for k in range(len(dims)):
-                    centre[k] = q[k]
-            _chain(q, leaf_of[i], nodes, parent, lo, hi, lists[side], count, field, reach2, floor2, drift, dims)
-        node, place = parent[leaf_of[i]], 1
-        while node >= 0:
-            s = cursor[node]
-            cursor[node] += 1
-            for k in range(len(dims)):
-                copies[s, k] = q[k] + (h * drift[place, k] + noise[s * len(dims) + k])
-            node, place = parent[node], place + 1
+        c, q = classes[i], pointer(points, i * d)
+        top, size = c, d  # the outermost class, and how many numbers go to ``out``
+        if len(up) > 0:
+            while up[top] >= 0:
+                top = up[top]
+                size += d
+        twin = i > 0 and c == classes[i - 1]  # resampling leaves runs of one class in one place
+        for k in range(d):
+            twin = twin and q[k] == q[k - d]
+        if twin:
+            for k in range(size):
+                at[k] = at[k - size]
+            at = pointer(at, size)
+            continue
+        share = SHARE_OF_TRACK if hi[top] - lo[top] == 1 else SHARE
+        if top != listed or not _within(q, centre, reach2 * share**2, dims):
+            first, last = field.leaf_at[lo[top]], field.leaf_at[hi[top]]
+            rows, count = rows_near(q, first, last, field, reach2 * (1.0 + share) ** 2, lists, dims)
+            listed, centre = top, q
+        sums = nothing(dims)
+        first = last = field.leaf_at[lo[c]]
+        best2, best = np.inf, first * 2 * d * WIDTH  # nearest point so far; wanted only while the ball is empty
+        left = right = np.intp(0) if c == top else _first_from(rows, count, first)  # rows[left:right] are summed
+        while c >= 0:
+            outer_first, outer_last = field.leaf_at[lo[c]], field.leaf_at[hi[c]]
+            outer_left, outer_right = left, right
+            if c == top:
+                outer_left, outer_right = 0, count
+            else:
+                while outer_left > 0 and rows[outer_left - 1] >= outer_first:
+                    outer_left -= 1
+                while outer_right < count and rows[outer_right] < outer_last:
+                    outer_right += 1
+            if outer_left < left:  # often nothing is added on one side
+                sums = add_rows(q, rows, outer_left, left, field, reach2, floor2, sums, dims)
+            if right < outer_right:
+                sums = add_rows(q, rows, right, outer_right, field, reach2, floor2, sums, dims)
+            if not mean_velocity(sums, at, dims):
+                best2, best = nearest(q, outer_first, first, field, best2, best, spare, dims)
+                best2, best = nearest(q, last, outer_last, field, best2, best, spare, dims)
+                velocity_at(field, best, at, dims)
+            first, last, left, right = outer_first, outer_last, outer_left, outer_right
+            at = pointer(at, d)
+            c = up[c] if len(up) > 0 else -1
+    hold(room)
 
 
 @kernel
-def roll_nested(
-    points, leaf_of, nodes, parent, start, copy_of, key, step, purpose, kind, scale, parts, h,
+def roll(
+    points, classes, up, nodes, start, out, key, step, purpose, kind, scale, parts, h, begin,
     lo, hi, data, leaf_at, boxes, level_at, reach2, floor2, dims,
 ):  # fmt: skip
-    """Copies (S, d) of the base particles (N, d), grouped by node as ``start`` tells, after the first sub-step.
+    """Move points (n, d) under their own classes through the sub-steps from ``begin`` of ``parts``; ``out`` is points.
 
-    A copy starts where its particle does and moves under its own node, an ancestor in use of the particle's leaf. Of no
-    sub-steps, it stays there.
+    Or write where the first sub-step takes copies of them, each under another class above that of its point, into
+    ``out`` (S, d): grouped by class, those of ``nodes[a]`` from ``start[a]`` on. There are such when ``up`` is not
+    empty (see ``drifts``). From ``lo`` on: ``Dynamics.ground``.
+
+    A sub-step takes ``h`` seconds; the noise is that of the stream (key, step, purpose), metres: Gaussian with sd
+    scale * sqrt(h) in each sub-step, or the papers' uniform noise once, in the last.
     """
-    copies = np.empty((len(copy_of), len(dims)))
-    if parts == 0:
-        for s in range(len(copy_of)):
-            for k in range(len(dims)):
-                copies[s, k] = points[copy_of[s], k]
-        return copies
-    field = Field(data, leaf_at, boxes, level_at)
-    noise = _noise(key, step, purpose, kind, scale, h, parts, len(copies) * len(dims))
-    _move_nested(points, leaf_of, nodes, parent, start, noise, h, copies, lo, hi, field, reach2, floor2, dims)
-    return copies
+    d, size, copied = len(dims), len(out) * len(dims), len(up) > 0
+    noise = np.empty(parts * size)
+    if kind == GAUSSIAN:
+        normals(key, step, purpose, noise)
+        sd = scale * math.sqrt(h)
+        for i in range(len(noise)):
+            noise[i] *= sd
+    else:
+        for i in range(len(noise)):
+            noise[i] = 0.0
+        if kind == UNIFORM and parts > 0:
+            last = noise[len(noise) - size :]
+            uniforms(key, step, purpose, last)
+            for i in range(size):
+                last[i] = scale * (2.0 * last[i] - 1.0)
+    drift = np.empty((len(points) + (len(out) if copied else 0), d))
+    cursor = np.empty(len(up), dtype=np.int64)
+    for a in range(len(nodes)):
+        cursor[nodes[a]] = start[a]
+    for part in range(begin, 1 if copied else parts):
+        drifts(points, classes, up, drift, lo, hi, data, leaf_at, boxes, level_at, reach2, floor2, dims)
+        row = 0
+        for i in range(len(points)):
+            if not copied:
+                for k in range(d):
+                    points[i, k] += h * drift[i, k] + noise[part * size + i * d + k]
+                continue
+            c, row = up[classes[i]], row + 1
+            while c >= 0:
+                s = cursor[c]
+                for k in range(d):
+                    out[s, k] = points[i, k] + (h * drift[row, k] + noise[s * d + k])
+                cursor[c], c, row = s + 1, up[c], row + 1

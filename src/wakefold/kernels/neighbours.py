@@ -16,11 +16,13 @@ from wakefold.kernels.boxes import (
     WIDTH,
     WORD,
     all_lanes,
+    bare,
     coordinates,
     data_of,
     fetch,
-    near,
-    nearest,
+    hold,
+    pointer,
+    rows_near,
     scratch,
     spread,
     sum_of,
@@ -103,15 +105,16 @@ def _total(typing, vector):
 def add_rows(q, rows, first, last, field, reach2, floor2, sums, dims):
     """``sums`` plus the points of ``rows[first:last]`` strictly nearer to q than sqrt(reach2).
 
-    ``sums`` are d + 1 vectors, of 1/distance and of velocity/distance; distances are floored at sqrt(floor2).
+    ``sums`` are d + 1 vectors, of 1/distance and of velocity/distance; distances are floored at sqrt(floor2). ``q``,
+    ``rows`` and the arrays of the field are pointers (see ``Bare``).
     """
+    # A pair of rows at a time: what is added up, and so the last bit of it, hangs on which rows make a pair.
     for i in range(first, last - 1, 2):
         fetch(field.data, np.intp(rows[i + AHEAD]), dims)
         fetch(field.data, np.intp(rows[i + AHEAD + 1]), dims)
         sums = _add_rows(field.data, np.intp(rows[i]), np.intp(rows[i + 1]), q, reach2, floor2, sums, dims)
     if (last - first) % 2 == 1:
-        empty = field.leaf_at[-1]
-        sums = _add_rows(field.data, np.intp(rows[last - 1]), empty, q, reach2, floor2, sums, dims)
+        sums = _add_rows(field.data, np.intp(rows[last - 1]), field.rows, q, reach2, floor2, sums, dims)
     return sums
 
 
@@ -120,7 +123,7 @@ def add_rows(q, rows, first, last, field, reach2, floor2, sums, dims):
 
 @inner
 def mean_velocity(sums, out, dims):
-    """Inverse-distance mean of the velocities summed up, into ``out`` (d,); False, and nothing done, of no points."""
+    """Inverse-distance mean of the velocities summed up, to the pointer ``out``; False, and nothing done, of none."""
     weight = _total(sums[0])
     if weight == 0.0:
         return False
@@ -131,46 +134,31 @@ def mean_velocity(sums, out, dims):
 
 @inner
 def velocity_at(field, place, out, dims):
-    """Velocity of the point that ``nearest`` found, into ``out`` (d,)."""
+    """Velocity of the point that ``nearest`` found, to the pointer ``out``."""
     for k in range(len(dims)):
         out[k] = field.data[place + (len(dims) + k) * WIDTH]
 
 
-@inner
-def velocity(q, first, last, rows, count, field, reach2, floor2, out, dims):
-    """Localised velocity at q of the class with the rows ``[first, last)``, into ``out`` (d,).
-
-    The inverse-distance mean of the velocities in the open ball of radius sqrt(reach2); of an empty ball, the velocity
-    of the nearest point of the class (docs/algorithm.md, Dynamics; Hawasly et al. 2016, Section 3.1).
-
-    Args:
-        rows: ``count`` rows of the class, with all of its points in the ball (see ``near``).
-    """
-    begin = np.intp(0)  # a literal would compile add_rows a second time
-    sums = add_rows(q, rows, begin, count, field, reach2, floor2, nothing(dims), dims)
-    if not mean_velocity(sums, out, dims):
-        _, place = nearest(q, first, last, field, np.inf, first * 2 * len(dims) * WIDTH, dims)
-        velocity_at(field, place, out, dims)
-
-
 @kernel
-def departures(points, velocities, leaf_of, lo, hi, field, reach2, floor2, dims):
+def departures(points, velocities, leaf_of, lo, hi, data, leaf_at, boxes, level_at, reach2, floor2, dims):
     """Velocity of training points minus that of the other leaves, in the ball, of the class ``[lo, hi)`` around theirs.
 
     Args:
-        points, velocities: (n, d). leaf_of, lo, hi: (n,) ranks.
+        points, velocities: (n, d). leaf_of, lo, hi: (n,) ranks. data to level_at: a ``Field``.
 
     Returns:
         (n, d); NaN where the ball holds no point of another leaf.
     """
-    out, lists = np.empty((len(points), len(dims))), scratch(field)
-    begin = np.intp(0)  # see velocity
+    d, field = len(dims), bare(data, leaf_at, boxes, level_at)
+    out, room = np.empty((len(points), d)), scratch(leaf_at)
+    begin = np.intp(0)  # a literal would compile add_rows a second time
     for i in range(len(points)):
-        leaf, q, sums = leaf_of[i], points[i], nothing(dims)
+        leaf, q, at, sums = leaf_of[i], pointer(points, i * d), pointer(out, i * d), nothing(dims)
         for first, last in ((lo[i], leaf), (leaf + 1, hi[i])):
-            side, count = near(q, field.leaf_at[first], field.leaf_at[last], field, reach2, lists, dims)
-            sums = add_rows(q, lists[side], begin, count, field, reach2, floor2, sums, dims)
-        known = mean_velocity(sums, out[i], dims)
-        for k in range(len(dims)):
-            out[i, k] = velocities[i, k] - out[i, k] if known else math.nan
+            rows, count = rows_near(q, leaf_at[first], leaf_at[last], field, reach2, pointer(room, 0), dims)
+            sums = add_rows(q, rows, begin, count, field, reach2, floor2, sums, dims)
+        known = mean_velocity(sums, at, dims)
+        for k in range(d):
+            out[i, k] = velocities[i, k] - at[k] if known else math.nan
+    hold(room)
     return out
