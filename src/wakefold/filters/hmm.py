@@ -69,7 +69,7 @@ class GaussianHMM:
         if self.cov.shape != (states, features, features):
             raise ValueError(f"cov must be ({states}, {features}, {features}), got shape {self.cov.shape}")
         for name, rows in (("initial", self.initial[None]), ("transition", self.transition)):
-            if not ((rows >= 0).all() and np.allclose(rows.sum(axis=1), 1)):
+            if not ((rows >= 0).all() and (np.abs(rows.sum(axis=1) - 1.0) <= 1e-5).all()):
                 raise ValueError(f"{name} must hold probabilities that sum to 1")
         try:
             lower = np.linalg.cholesky(self.cov)
@@ -207,6 +207,8 @@ class GaussianHMM:
             _, label = kmeans2(x / scale, states, minit="++", rng=rng, missing="warn")
             model = _from_labels(x, label, states, least)
             model = model.improve(sequences, rounds=rounds, floor=least)
+            if restarts == 1:
+                return model
             fit = sum(model.log_likelihood(s) for s in sequences)
             if best is None or fit > most:
                 best, most = model, fit

@@ -6,6 +6,34 @@ from wakefold.kernels.compile import kernel
 
 
 @kernel
+def within(positions, order, axis, gate):
+    """Pairs of objects within ``gate``, (P, 2), the smaller place first: ``positions`` (n, d) swept along ``axis``.
+
+    ``order`` (n,): places, rising along that axis.
+    """
+    n, d = positions.shape
+    out = np.empty((0, 2), dtype=np.int64)
+    for counted in range(2):
+        count = 0
+        for i in range(n):
+            a = order[i]
+            for j in range(i + 1, n):
+                b = order[j]
+                if positions[b, axis] - positions[a, axis] > gate:
+                    break
+                apart = 0.0
+                for k in range(d):
+                    apart += (positions[b, k] - positions[a, k]) ** 2
+                if apart <= gate * gate:
+                    if counted:
+                        out[count, 0], out[count, 1] = min(a, b), max(a, b)
+                    count += 1
+        if not counted:
+            out = np.empty((count, 2), dtype=np.int64)
+    return out
+
+
+@kernel
 def merge(first, second, place, mean, hidden, reach, wanted):
     """Which pairs there are after a step.
 
