@@ -197,8 +197,11 @@ def candidates(positions: Floats, gate: float) -> Ints:
     """``(P, 2)`` pairs of objects within the gate, the first the smaller place."""
     if len(positions) < 2:
         return np.zeros((0, 2), dtype=np.int64)
-    axis = int(np.argmax(positions.max(axis=0) - positions.min(axis=0)))
-    return turnover.within(positions, np.argsort(positions[:, axis]), axis, gate)
+    x, y = positions.T
+    wide = max(gate * (1.0 + 1e-9), float(np.abs(y).max()) * 1e-15)  # so that strips are counted exactly
+    strip = np.floor(y / wide)
+    order = np.lexsort((x, strip))
+    return turnover.within(positions[order], strip[order], order, gate)
 
 
 def of_relation(near: Ints, relation: Relation, model: RelationalModel, kinds: Ints) -> Ints:

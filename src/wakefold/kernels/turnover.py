@@ -6,31 +6,35 @@ from wakefold.kernels.compile import kernel
 
 
 @kernel
-def within(positions, order, axis, gate):
-    """Pairs of objects within ``gate``, (P, 2), the smaller place first: ``positions`` (n, d) swept along ``axis``.
+def within(points, strip, order, gate):
+    """Pairs of objects within ``gate``, (P, 2), the smaller place first.
 
-    ``order`` (n,): places, rising along that axis.
+    Args:
+        points: (n, 2) objects strip by strip, in each by rising first coordinate.
+        strip: (n,) number of the strip of each, a whole one; a strip is at least ``gate`` wide.
+        order: (n,) place of each object.
     """
-    n, d = positions.shape
-    out = np.empty((0, 2), dtype=np.int64)
-    for counted in range(2):
-        count = 0
-        for i in range(n):
-            a = order[i]
-            for j in range(i + 1, n):
-                b = order[j]
-                if positions[b, axis] - positions[a, axis] > gate:
-                    break
-                apart = 0.0
-                for k in range(d):
-                    apart += (positions[b, k] - positions[a, k]) ** 2
+    n = len(points)
+    out, count, behind = np.empty((4 * n, 2), dtype=np.int64), 0, 0
+    for i in range(n):
+        x, y = points[i, 0], points[i, 1]
+        while behind < n and (
+            strip[behind] <= strip[i] or (strip[behind] == strip[i] + 1 and x - points[behind, 0] > gate)
+        ):
+            behind += 1
+        for ahead in range(2):  # of the own strip those that follow, and the next strip
+            j = behind if ahead else i + 1
+            while j < n and strip[j] == strip[i] + ahead and points[j, 0] - x <= gate:
+                apart = (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2
                 if apart <= gate * gate:
-                    if counted:
-                        out[count, 0], out[count, 1] = min(a, b), max(a, b)
+                    if count == len(out):
+                        more = np.empty((2 * count, 2), dtype=np.int64)
+                        more[:count] = out
+                        out = more
+                    out[count, 0], out[count, 1] = min(order[i], order[j]), max(order[i], order[j])
                     count += 1
-        if not counted:
-            out = np.empty((count, 2), dtype=np.int64)
-    return out
+                j += 1
+    return out[:count]
 
 
 @kernel
