@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from wakefold.parallel import Ray, Threads, cores, thread_map
+from wakefold.parallel import LINEAR_ALGEBRA, Processes, Ray, Threads, cores, thread_map
 from wakefold.spanning import spanning_tree
 from wakefold.tracks import Tracks
 
@@ -89,6 +89,15 @@ def test_ray_says_what_it_lacks(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", SimpleNamespace(is_initialized=lambda: False))
     with pytest.raises(RuntimeError, match=r"ray.init\(\)"):
         Ray()
+
+
+def test_processes_have_one_thread_for_linear_algebra_unless_told_otherwise(monkeypatch):
+    for name in LINEAR_ALGEBRA:
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv(LINEAR_ALGEBRA[0], "3")
+    before = dict(os.environ)
+    assert Processes(1).map(os.getenv, LINEAR_ALGEBRA) == ["3", *["1"] * (len(LINEAR_ALGEBRA) - 1)]
+    assert dict(os.environ) == before
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from test_relational import ENGINES, follow, pair_model, walkers
 import wakefold as wf
 from wakefold import plot
 from wakefold.couplings import group, transition
+from wakefold.gating import candidates
 from wakefold.kernels.turnover import gather, merge
 from wakefold.relations import ahead, couple_velocity, follow_velocity, near, same_velocity
 
@@ -300,3 +301,18 @@ def test_a_notebook_shows_objects_and_relations_and_trusts_no_name():
     assert "and 2 more" in html  # objects
     assert html.count("<td>to&lt;gether</td>") == 10
     assert "<table>" in f.start()._repr_html_()
+
+
+@pytest.mark.parametrize("gate", [1.0, 2.5, 30.0])
+def test_pairs_within_the_gate_are_those_of_a_plain_loop(gate):
+    rng = np.random.default_rng(5)
+    lattice = np.stack(np.meshgrid(np.arange(7.0), np.arange(-3.0, 4.0)), axis=-1).reshape(-1, 2)  # at the gate itself
+    for points in (lattice, rng.normal(size=(60, 2)) * 5.0, np.zeros((4, 2)), np.array([[1e12, -1e12], [1e12, -1e12]])):
+        points = points[rng.permutation(len(points))]
+        pairs = [
+            (i, j)
+            for i in range(len(points))
+            for j in range(i + 1, len(points))
+            if ((points[i] - points[j]) ** 2).sum() <= gate**2
+        ]
+        assert sorted(map(tuple, candidates(points, gate).tolist())) == pairs

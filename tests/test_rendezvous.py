@@ -33,7 +33,7 @@ def test_near_and_slow_counts_the_longest_time_without_a_break():
     position[0, 1, :, 0] = 1000.0
     position[0, 1, 10:50, 0] = 100.0
     velocity[0, 0, 20, 0] = 9.0
-    assert near_and_slow(Nearness.of(Motion(position, velocity)), Rule(500.0, 2.0)).tolist() == [29 * DT]
+    assert near_and_slow(Nearness.of(Motion(position, velocity)), [Rule(500.0, 2.0)]).tolist() == [[29 * DT]]
 
 
 @pytest.mark.parametrize(("missing", "least"), [(0.0, 0.95), (0.6, 0.9)])

@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from wakefold.couplings import group, transition
+from wakefold.couplings import moving
 from wakefold.gating import Settings, diffusions
 from wakefold.relations import Sampler
 from wakefold.scene import Pairs, Particles
@@ -21,7 +21,15 @@ Ints = NDArray[np.int64]
 
 def blocks_of(particles: Particles) -> list[Ints]:
     """The objects of each block, in the order of their first objects."""
-    return [np.flatnonzero(particles.block == b) for b in dict.fromkeys(particles.block.tolist())]
+    return _places(particles.block)
+
+
+def _places(labels: Ints) -> list[Ints]:
+    """Where each label stands, in the order of their first places."""
+    out: dict[int, list[int]] = {}
+    for place, label in enumerate(labels.tolist()):
+        out.setdefault(label, []).append(place)
+    return [np.array(places) for places in out.values()]
 
 
 def rows_of(members: Ints, n: int) -> Ints:
@@ -72,17 +80,19 @@ def move(
         place = np.full(n, -1)
         place[members] = np.arange(len(members))
         ties = [(how, p, k) for how, p in acting for k in np.flatnonzero(place[p.first] >= 0)]
-        held = np.array([p.bits[:, k] for _, p, k in ties]).reshape(len(ties), count).T  # (M, ties)
-        kinds_of_company, which = np.unique(held, axis=0, return_inverse=True)
+        held = np.array([p.bits[:, k] for _, p, k in ties], dtype=bool).reshape(len(ties), count).T.tobytes()
+        company: dict[bytes, list[int]] = {}  # particles in which the same relations hold
+        for m in range(count):
+            company.setdefault(held[m * len(ties) : (m + 1) * len(ties)], []).append(m)
         rows = rows_of(members, n)
-        for c, on in enumerate(kinds_of_company):
-            at = np.flatnonzero(which.reshape(-1) == c)
+        for on, alike in company.items():
+            at = np.array(alike)
             couplings = [
                 (int(place[p.first[k]]), int(place[p.second[k]]), how)
                 for (how, p, k), is_on in zip(ties, on, strict=True)
                 if is_on
             ]
-            f, w = transition(*group(q[members], couplings), dt)
+            f, w = moving(q[members], couplings, dt)
             if free[members].any():  # a sampler has moved them: couplings act on velocities alone
                 f, w = f.copy(), w.copy()
                 moved = np.flatnonzero(free[members])
@@ -136,11 +146,11 @@ def summary(particles: Particles) -> tuple[Floats, Floats]:
     weights = np.exp(particles.log_weights)  # (M, n)
     mean = np.einsum("mn,mjnd->njd", weights, particles.mean)
     cov = np.empty((n, 3))
-    own = np.arange(n)
+    own, away = np.arange(n), particles.mean - mean.transpose(1, 0, 2)
     for at, (i, j) in enumerate(((0, 0), (0, 1), (1, 1))):
         within = particles.cov[:, own + i * n, own + j * n]
-        a, b = particles.mean[:, i] - mean[None, :, i], particles.mean[:, j] - mean[None, :, j]
-        cov[:, at] = (weights * (within + (a * b).sum(axis=2) / d)).sum(axis=0)
+        product = away[:, i] * away[:, j]
+        cov[:, at] = (weights * (within + (product[:, :, 0] + product[:, :, 1]) / d)).sum(axis=0)
     return mean, cov
 
 
@@ -151,6 +161,9 @@ def regroup(particles: Particles, edges: Ints, weights: Floats, cluster: int) ->
 
     Args:
         edges: ``(E, 2)``; weights: ``(E,)`` sorts them, the smallest first.
+
+    Returns:
+        New particles; arrays in which nothing changes are those given.
     """
     n, block = len(particles.block), np.arange(len(particles.block))
     size = np.ones(n, dtype=np.int64)
@@ -162,14 +175,16 @@ def regroup(particles: Particles, edges: Ints, weights: Floats, cluster: int) ->
             keep, gone = min(a, b), max(a, b)
             block[block == gone] = keep
             size[keep] += size[gone]
-    logs, cov = np.array(particles.log_weights), np.array(particles.cov)
-    for b in np.unique(block):
-        members = np.flatnonzero(block == b)
-        firsts = [members[old[members] == o][0] for o in dict.fromkeys(old[members].tolist())]
+    logs, cov = particles.log_weights, particles.cov
+    for members in _places(block):
+        firsts = [members[places[0]] for places in _places(old[members])]
         if len(firsts) > 1:
             total = logs[:, firsts].sum(axis=1)
             total -= np.logaddexp.reduce(total)
+            logs = np.array(logs)
             logs[:, members] = total[:, None]
     same = block[:, None] == block
-    cov[:, ~np.tile(same, (2, 2))] = 0.0
+    if not same.all():
+        cov = np.array(cov)
+        cov[:, ~np.tile(same, (2, 2))] = 0.0
     return Particles(particles.mean, cov, logs, block)

@@ -128,37 +128,72 @@ def learn_company(scenes: Sequence[Beside], *, lift: float = 1.0, power: float =
         lift, power: see ``Company``.
         ridge: share by which the diagonal of the normal equations is raised.
     """
-    width, frames = scenes[0].shares.shape[2] * scenes[0].strength.shape[1], scenes[0].truth.shape[1]
-    normal, right = np.zeros((frames, width, width)), np.zeros((frames, width, 1))
-    for scene in scenes:
-        _, which = _moments(scene)
-        accompanied = np.bincount(which, scene.together) > 0
-        first, columns = _told(scene.rows(accompanied[which]), lift, power)
-        away = (scene.truth - scene.alone)[accompanied[which]][first]
-        weight = len(first) ** -0.5
-        told = columns.transpose(1, 2, 0, 3).reshape(frames, width, -1)
-        normal += weight * told @ told.transpose(0, 2, 1)
-        right += weight * told @ away.transpose(1, 0, 2).reshape(frames, -1, 1)
+    kept = [accompanied(scene) for scene in scenes]
+    return solve([equations(scene, told(scene, lift, power)) for scene in kept], lift=lift, power=power, ridge=ridge)
+
+
+def accompanied(scene: Beside, *, others: bool = False) -> Beside:
+    """The rows of those people and moments with one of the own group in sight; or of the others."""
+    _, which = _moments(scene)
+    members = np.bincount(which, scene.together) > 0
+    return scene.rows(members[which] != others)
+
+
+class Told(NamedTuple):
+    """What the partners of each hidden person say; made by ``told``.
+
+    Attributes:
+        first: ``(n,)`` first row of each person and moment.
+        columns: ``(n, H, 16, 2)`` shares times strengths, averaged over the partners.
+    """
+
+    first: Ints
+    columns: Floats
+
+
+def equations(scene: Beside, said: Told) -> tuple[Floats, Floats]:
+    """The normal equations of ``learn_company`` of one scene, ``(H, 16, 16)`` and ``(H, 16, 1)``."""
+    count, frames, width, _ = said.columns.shape
+    away = (scene.truth - scene.alone)[said.first]
+    columns = said.columns.transpose(1, 2, 0, 3).reshape(frames, width, -1)
+    weighed = count**-0.5 * columns
+    return weighed @ columns.transpose(0, 2, 1), weighed @ away.transpose(1, 0, 2).reshape(frames, -1, 1)
+
+
+def solve(parts: Sequence[tuple[Floats, Floats]], *, lift: float, power: float, ridge: float = 1e-2) -> Company:
+    """``learn_company``, given the ``equations`` of each scene for this lift and power."""
+    normal, right = np.zeros_like(parts[0][0]), np.zeros_like(parts[0][1])
+    for own, target in parts:
+        normal += own
+        right += target
+    width = len(normal[0])
     normal = normal * (1.0 + ridge * np.eye(width)) + 1e-9 * np.eye(width)  # nobody is late at first
     return Company(np.asarray(np.linalg.solve(normal, right)[:, :, 0], dtype=np.float64), lift, power)
 
 
 def beside(scene: Beside, company: Company) -> tuple[Ints, Floats]:
     """Where each hidden person is thought to be: ``(n,)`` first row of each, ``(n, H, 2)`` positions."""
-    first, columns = _told(scene, company.lift, company.power)
-    return first, scene.alone[first] + np.einsum("nhkd,hk->nhd", columns, company.taken)
+    said = told(scene, company.lift, company.power)
+    return said.first, places(scene, said, company)
+
+
+def places(scene: Beside, said: Told, company: Company) -> Floats:
+    """``beside``, given what is ``told`` with the lift and the power of ``company``."""
+    return scene.alone[said.first] + np.einsum("nhkd,hk->nhd", said.columns, company.taken)
 
 
 def _moments(scene: Beside) -> tuple[Ints, Ints]:
     """``(n,)`` first row of each person and moment, ``(E,)`` which of them each row is."""
-    _, first, which = np.unique(
-        np.column_stack([scene.person, scene.frame]), axis=0, return_index=True, return_inverse=True
-    )
-    return first, which.ravel()
+    if not len(scene.frame):
+        return scene.person, scene.person
+    start = scene.frame.min()
+    name = scene.person * (scene.frame.max() - start + 1) + scene.frame - start
+    _, first, which = np.unique(name, return_index=True, return_inverse=True)
+    return first, which
 
 
-def _told(scene: Beside, lift: float, power: float) -> tuple[Ints, Floats]:
-    """First rows as in ``_moments``; shares times strengths, averaged over the partners, ``(n, H, 16, 2)``."""
+def told(scene: Beside, lift: float, power: float) -> Told:
+    """What partners say who count with ``lift`` and ``power``."""
     first, which = _moments(scene)
     heard, near, alike, _ = scene.strength.T
     weight = heard * ((scene.belief + lift * near * alike) ** power + 1e-6) + 1e-18
@@ -166,4 +201,4 @@ def _told(scene: Beside, lift: float, power: float) -> tuple[Ints, Floats]:
     order = np.argsort(which, kind="stable")
     parts = scene.shares[order], (weight[:, None] * scene.strength)[order]
     rows = (parts[0][:, :, :, None, :] * parts[1][:, None, None, :, None]).reshape(*parts[0].shape[:2], -1, 2)
-    return first, np.add.reduceat(rows, np.flatnonzero(np.diff(which[order], prepend=-1)), axis=0)
+    return Told(first, np.add.reduceat(rows, np.flatnonzero(np.diff(which[order], prepend=-1)), axis=0))

@@ -81,7 +81,20 @@ def group(q: Floats, couplings: list[tuple[int, int, Coupling]]) -> tuple[Floats
     return drag, pull, diffusion
 
 
+def moving(q: Floats, couplings: list[tuple[int, int, Coupling]], dt: float) -> tuple[Floats, Floats]:
+    """``transition`` of a ``group``: most sets of objects have moved so before."""
+    return _motion(np.asarray(q, dtype=np.float64).tobytes(), tuple(couplings), float(dt))
+
+
+@lru_cache(maxsize=4096)
+def _motion(q: bytes, couplings: tuple[tuple[int, int, Coupling], ...], dt: float) -> tuple[Floats, Floats]:
+    return transition(*group(np.frombuffer(q), list(couplings)), dt)
+
+
+@lru_cache(maxsize=4096)
 def row(drag: float, pull: float, diffusion: float, dt: float) -> Floats:
     """``(7,)`` motion of one object, or of the difference of two, as kernels/pairs.py reads it."""
     f, q = transition(np.array([[drag]]), np.array([[pull]]), np.array([[diffusion]]), dt)
-    return np.array([*f.ravel(), q[0, 0], q[0, 1], q[1, 1]])
+    out = np.array([*f.ravel(), q[0, 0], q[0, 1], q[1, 1]])
+    out.flags.writeable = False  # shared by all who ask again
+    return out

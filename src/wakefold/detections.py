@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from copy import copy
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -56,9 +57,9 @@ class Detections:
             points = points.reshape(0, 2)
         if points.ndim != 2 or points.shape[1] != 2:
             raise ValueError(f"Detections positions must be planar, of shape (m, 2), got {points.shape}")
-        near = (np.abs(points) <= FARTHEST).all(axis=1)  # false for NaN too
+        near = np.abs(points) <= FARTHEST  # false for NaN too
         if not near.all():
-            row = int(np.flatnonzero(~near)[0])
+            row = int(np.flatnonzero(~near.all(axis=1))[0])
             raise ValueError(
                 f"Detections positions must be finite and within {FARTHEST:g} m, row {row} is {points[row].tolist()}"
             )
@@ -80,9 +81,10 @@ class Detections:
                 if count and ids.max() > np.iinfo(np.int64).max:
                     raise ValueError(f"Detections ids: {ids.max()} is beyond whole numbers of 64 bits")
                 ids = ids.astype(np.int64)
-            names, times = np.unique(ids, return_counts=True)
-            if (times > 1).any():
-                raise ValueError(f"Detections ids: {names[times > 1][0]} is there twice")
+            names = np.sort(ids)
+            twice = names[1:] == names[:-1]
+            if twice.any():
+                raise ValueError(f"Detections ids: {names[1:][twice][0]} is there twice")
         if kinds is not None and not isinstance(kinds, str) and np.shape(kinds) != (count,):
             raise ValueError(f"Detections kinds must be one kind, or {count} of them, got {kinds!r}")
         if not callable(detect_prob) and not 0.0 <= number("Detections detect_prob", detect_prob) <= 1.0:
@@ -91,7 +93,7 @@ class Detections:
             if not 0.0 <= number(f"Detections {name}", value) < math.inf:
                 raise ValueError(f"Detections {name} must be a number >= 0, got {value}")
         self.positions: Floats = points
-        self.sd: Floats = np.broadcast_to(spread, (count,)).copy()
+        self.sd: Floats = np.full(count, spread)
         self.ids: NDArray | None = ids
         self.kinds = kinds
         self.detect_prob: DetectProb = detect_prob
@@ -125,28 +127,26 @@ class Detections:
         Raises:
             ValueError: a kind the model does not have.
         """
-        named = [kinds[0] if self.kinds is None else self.kinds] if isinstance(self.kinds, str | None) else self.kinds
+        if self.kinds is None:
+            return np.zeros(len(self), dtype=np.int64)
+        named = [self.kinds] if isinstance(self.kinds, str) else self.kinds
         for kind in named:
             if kind not in kinds:
                 raise ValueError(f"Detections kinds: {kind!r} is none of {', '.join(kinds)}")
         numbers = np.array([kinds.index(k) for k in named], dtype=np.int64)
-        return np.broadcast_to(numbers, (len(self),)).copy() if len(numbers) != len(self) else numbers
+        return np.full(len(self), numbers) if isinstance(self.kinds, str) else numbers
 
     def sorted(self) -> Detections:
         """The same scan in an order of its own (by id, else by position), so that the caller's does not matter."""
-        if self.ids is not None:
-            order = np.argsort(self.ids, kind="stable")
-        else:
+        if self.ids is None:
             order = np.lexsort((self.sd, *self.positions.T))
-        kinds = self.kinds
-        if kinds is not None and not isinstance(kinds, str):
-            kinds = [str(kinds[i]) for i in order]
-        return Detections(
-            self.positions[order],
-            self.sd[order],
-            None if self.ids is None else self.ids[order],
-            kinds=kinds,
-            detect_prob=self.detect_prob,
-            clutter=self.clutter,
-            birth=self.birth,
-        )
+        elif (self.ids[1:] > self.ids[:-1]).all():
+            return self
+        else:
+            order = np.argsort(self.ids, kind="stable")
+        out = copy(self)  # not made anew: nothing is to be checked again
+        out.positions, out.sd = self.positions[order], self.sd[order]
+        out.ids = None if self.ids is None else self.ids[order]
+        if self.kinds is not None and not isinstance(self.kinds, str):
+            out.kinds = [str(self.kinds[i]) for i in order]
+        return out

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from wakefold.activities import begin
 from wakefold.couplings import row
@@ -15,6 +15,7 @@ from wakefold.detections import Detections
 from wakefold.kernels import histories, turnover
 from wakefold.kernels import pairs as kernel
 from wakefold.kernels.predicates import truth
+from wakefold.predicates import Predicate
 from wakefold.relations import ConstantVelocity, Relation, RelationalModel
 from wakefold.scene import Pairs, Scene
 
@@ -85,6 +86,8 @@ def match(ids: NDArray, scan: Detections) -> tuple[Ints, Ints]:
         raise ValueError("Detections ids were whole numbers before and are texts now, or the other way round")
     if not len(ids) or not len(scan):
         return np.full(len(ids), -1), np.arange(len(scan))
+    if len(ids) == len(scan) and (ids == scan.ids).all():
+        return np.arange(len(ids)), np.zeros(0, dtype=np.int64)
     order = np.argsort(scan.ids, kind="stable")
     at = order[np.minimum(np.searchsorted(scan.ids[order], ids), len(order) - 1)]
     found = np.where(scan.ids[at] == ids, at, -1)
@@ -132,6 +135,8 @@ def _free_names(taken: NDArray, serial: Ints) -> NDArray:
 
 def exist(existence: Floats, seen: NDArray[np.bool_], chance: Floats) -> Floats:
     """Existence after a scan: a miss tells against it as far as a detection was to be expected."""
+    if seen.all():
+        return np.ones(seen.shape)
     missed = existence * (1.0 - chance)
     with np.errstate(invalid="ignore", divide="ignore"):
         after = np.where(missed + 1.0 - existence > 0.0, missed / (missed + 1.0 - existence), 1.0)
@@ -165,13 +170,12 @@ def switches(relation: Relation, dt: float) -> Floats:
     """
     assert relation.rate_break is not None
     assert relation.rate_hidden is not None
-    rates = np.array(
-        [
-            [relation.rate_on, relation.rate_off],
-            [0.0, relation.rate_off + relation.rate_break],
-            [0.0, relation.rate_hidden],
-        ]
-    )
+    return _switches(relation.rate_on, relation.rate_off, relation.rate_break, relation.rate_hidden, dt).copy()
+
+
+@lru_cache(maxsize=4096)
+def _switches(on: float, off: float, broken: float, hidden: float, dt: float) -> Floats:
+    rates = np.array([[on, off], [0.0, off + broken], [0.0, hidden]])
     total = rates.sum(axis=1, keepdims=True)
     change = np.where(total > 0.0, -np.expm1(-total * dt), 0.0)
     return np.divide(rates * change, total, out=np.zeros((3, 2)), where=total > 0.0)
@@ -179,16 +183,25 @@ def switches(relation: Relation, dt: float) -> Floats:
 
 def program(relation: Relation) -> tuple[Ints, Floats]:
     """The predicate of a relation as kernels read it; empty where it always holds."""
-    if relation.on_when is None:
+    return _program(relation.on_when)
+
+
+@lru_cache(maxsize=256)
+def _program(predicate: Predicate | None) -> tuple[Ints, Floats]:
+    if predicate is None:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 2))
-    return relation.on_when.arrays()
+    return predicate.arrays()
 
 
 def candidates(positions: Floats, gate: float) -> Ints:
     """``(P, 2)`` pairs of objects within the gate, the first the smaller place."""
     if len(positions) < 2:
         return np.zeros((0, 2), dtype=np.int64)
-    return KDTree(positions).query_pairs(gate, output_type="ndarray").astype(np.int64)
+    x, y = positions.T
+    wide = max(gate * (1.0 + 1e-9), float(np.abs(y).max()) * 1e-15)  # so that strips are counted exactly
+    strip = np.floor(y / wide)
+    order = np.lexsort((x, strip))
+    return turnover.within(positions[order], strip[order], order, gate)
 
 
 def of_relation(near: Ints, relation: Relation, model: RelationalModel, kinds: Ints) -> Ints:

@@ -9,6 +9,7 @@ goes by the size of a block and not of the scene.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,15 +65,14 @@ def step(s: Settings, scene: Scene, scan: Detections | None, dt: float) -> Scene
     # line 2: it reads the objects alone, so it may follow line 3
     pairs = [_switch(s, r, p, objects, particles, dt, rng) for r, p in zip(model.relations, pairs, strict=True)]
     objects, particles, pairs = _turnover(s, objects, particles, pairs, scan, fresh, scene.serials, rng)
-    mean, cov = summary(particles)
     return Scene(
         model=model,
         ids=objects.ids,
         kinds=objects.kinds,
         serial=objects.serial,
-        mean=mean,
-        cov=cov,
-        own_mean=np.zeros((0, 2, mean.shape[2])),
+        mean=objects.mean,
+        cov=objects.cov,
+        own_mean=np.zeros((0, 2, objects.mean.shape[2])),
         own_cov=np.zeros((0, 3)),
         existence=objects.existence,
         unseen=objects.unseen,
@@ -96,7 +96,7 @@ def _look(
         The objects with their existence; detections of new objects; gain of log evidence; recoveries.
     """
     count, _, n, d = particles.mean.shape
-    chance, shift, share = _chances(particles, scan)
+    chance, blind = _chances(particles, scan)
     u = rng.random((count, n))
     if scan.ids is not None:
         found, fresh = match(objects.ids, scan)
@@ -145,7 +145,8 @@ def _look(
             detected, 1.0, exist(np.broadcast_to(existence[members], detected.shape), detected, chance[:, members])
         )
         existence[members] = weights @ still
-        _unseen(mean, cov, ~detected, shift[:, members], share[:, members])
+        if blind is not None:
+            _unseen(mean, cov, ~detected, members, blind)
         unseen[members] = np.where(weights @ detected >= 0.5, 0.0, unseen[members])
         if scan.ids is None:
             for k, j in enumerate(offered):
@@ -163,43 +164,65 @@ _PARTS = ndtri((np.arange(7) + 0.5) / 7)
 _NODES = np.stack(np.meshgrid(_PARTS, _PARTS), axis=-1).reshape(-1, 2) / _PARTS.std()
 
 
-def _chances(particles: Particles, scan: Detections) -> tuple[Floats, Floats, Floats]:
-    """What it tells of each object that it is, or is not, detected.
+class _Blind(NamedTuple):
+    """How well a sensor sees where an object may be, of each particle and object.
 
-    Returns:
-        ``(M, n)`` probability that it is detected; ``(M, n, 2)`` and ``(M, n)`` how far its mean moves, and the share
-        of its variance that is left, if it is not: somebody unseen is where one cannot see.
+    Attributes:
+        variance: ``(M, n)`` of its position, per axis.
+        away: ``(M, n, nodes, 2)`` places about its mean.
+        chance: ``(M, n, nodes)`` of being detected there.
     """
+
+    variance: Floats
+    away: Floats
+    chance: Floats
+
+    def missed(self, at: Ints, object_: int) -> tuple[Floats, Floats]:
+        """What it tells of an object in particles ``at`` that it is not detected: it is where one cannot see.
+
+        Returns:
+            ``(k, 2)`` how far its mean moves, ``(k,)`` the share of its variance that is left.
+        """
+        variance, away = self.variance[at, object_], self.away[at, object_]
+        missed = np.maximum(1.0 - self.chance[at, object_], TINY)
+        missed /= missed.sum(axis=1, keepdims=True)
+        shift = (missed[:, None] @ away)[:, 0]
+        square = away**2
+        left = (missed * (square[:, :, 0] + square[:, :, 1])).sum(axis=1) - (shift**2).sum(axis=1)
+        share = np.divide(left, 2.0 * variance, out=np.ones_like(left), where=variance > 0.0)
+        return shift, np.clip(share, 0.05, 1.0)
+
+
+def _chances(particles: Particles, scan: Detections) -> tuple[Floats, _Blind | None]:
+    """``(M, n)`` probability that each object is detected, and where, unless that is the same everywhere."""
     count, _, n, _ = particles.mean.shape
-    still = np.zeros((count, n, 2)), np.ones((count, n))
     if not callable(scan.detect_prob) or n == 0:
-        return np.full((count, n), 0.0 if callable(scan.detect_prob) else scan.detect_prob), *still
+        return np.full((count, n), 0.0 if callable(scan.detect_prob) else scan.detect_prob), None
     own = np.arange(n)
     variance = np.maximum(particles.cov[:, own, own], 0.0)
-    away = np.sqrt(variance)[:, :, None, None] * _NODES  # (M, n, nodes, 2)
+    away = np.sqrt(variance)[:, :, None, None] * _NODES
     asked = particles.mean[:, 0, :, None] + away
     chance = scan.chance(asked.reshape(-1, 2)).reshape(count, n, len(_NODES))
-    missed = np.maximum(1.0 - chance, TINY)
-    missed /= missed.sum(axis=2, keepdims=True)
-    shift = (missed[:, :, None] @ away)[:, :, 0]
-    left = (missed * (away**2).sum(axis=3)).sum(axis=2) - (shift**2).sum(axis=2)
-    share = np.divide(left, 2.0 * variance, out=np.ones_like(left), where=variance > 0.0)
-    return chance.mean(axis=2), shift, np.clip(share, 0.05, 1.0)
+    return chance.mean(axis=2), _Blind(variance, away, chance)
 
 
-def _unseen(mean: Floats, cov: Floats, missed: NDArray[np.bool_], shift: Floats, share: Floats) -> None:
+def _unseen(mean: Floats, cov: Floats, missed: NDArray[np.bool_], members: Ints, blind: _Blind) -> None:
     """Move and narrow a block's Gaussians by what it tells that objects were not detected, in place.
 
     Args:
         mean, cov: ``(M, 2 size, 2)``, ``(M, 2 size, 2 size)``.
-        missed: ``(M, size)``; shift, share: as ``_chances`` gives them.
+        missed: ``(M, size)``; members: ``(size,)`` objects.
     """
-    for i in range(missed.shape[1]):
-        at = np.flatnonzero(missed[:, i] & ((share[:, i] < 0.999) | (shift[:, i] != 0.0).any(axis=1)))
-        at = at[cov[at, i, i] > 0.0]
+    for i, member in enumerate(members.tolist()):
+        at = np.flatnonzero(missed[:, i] & (cov[:, i, i] > 0.0))
+        if not len(at):
+            continue
+        shift, share = blind.missed(at, member)
+        told = (share < 0.999) | (shift != 0.0).any(axis=1)
+        at, shift, share = at[told], shift[told], share[told]
         gain = cov[at, :, i] / cov[at, i, i, None]
-        mean[at] += gain[:, :, None] * shift[at, None, i]
-        cov[at] -= ((1.0 - share[at, i]) * cov[at, i, i])[:, None, None] * gain[:, :, None] * gain[:, None]
+        mean[at] += gain[:, :, None] * shift[:, None]
+        cov[at] -= ((1.0 - share) * cov[at, i, i])[:, None, None] * gain[:, :, None] * gain[:, None]
 
 
 def _offers(objects: Objects, particles: Particles, scan: Detections) -> list[Ints]:
@@ -316,7 +339,7 @@ def _turnover(
     serials: int,
     rng: np.random.Generator,
 ) -> tuple[Objects, Particles, list[Pairs]]:
-    """Objects leave and enter, pairs are let go and taken up, blocks follow."""
+    """Objects leave and enter, pairs are let go and taken up, blocks follow; ``objects`` as the particles then say."""
     mean, cov = summary(particles)
     objects = objects._replace(mean=mean, cov=cov)
     stays = (objects.existence >= GONE) & (objects.unseen <= s.forget)
@@ -337,7 +360,7 @@ def _turnover(
         particles = _join(particles, objects)
     near = candidates(objects.mean[:, 0], s.gate)
     edges, weights = _edges(s, objects, particles, near)
-    particles = regroup(particles, edges, weights, s.cluster)
+    before, particles = particles, regroup(particles, edges, weights, s.cluster)
     near = near[particles.block[near[:, 0]] == particles.block[near[:, 1]]]
     out = []
     for relation, p in zip(s.model.relations, pairs, strict=True):
@@ -350,6 +373,10 @@ def _turnover(
         out.append(p)
     if s.engine == "bootstrap":  # "adapted" draws new objects once it has seen them again
         _sample(particles, rng)
+    same = stays.all() and old == len(objects.ids) and particles.log_weights is before.log_weights
+    if s.engine == "bootstrap" or not same:
+        mean, cov = summary(particles)
+        objects = objects._replace(mean=mean, cov=cov)
     return objects, particles, out
 
 

@@ -11,9 +11,10 @@ import atexit
 import os
 import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from itertools import islice
 from queue import SimpleQueue
 from typing import Any, Protocol, TypeVar
@@ -23,6 +24,7 @@ import numpy as np
 T = TypeVar("T")
 R = TypeVar("R")
 Progress = Callable[[float], None]
+LINEAR_ALGEBRA = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def cores() -> int:
@@ -181,7 +183,8 @@ class Processes:
             min(self.processes, len(items)), mp.get_context("spawn"), signal.signal, (signal.SIGINT, signal.SIG_IGN)
         )
         try:
-            futures = [pool.submit(f, item, *shared) for item in items]
+            with _one_thread_each():
+                futures = [pool.submit(f, item, *shared) for item in items]
             for done, future in enumerate(as_completed(futures), start=1):
                 future.result()
                 if progress:
@@ -195,6 +198,22 @@ class Processes:
             raise
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Processes started meanwhile have one thread for linear algebra, unless the user has said how many.
+
+    With a thread for each core in every process these wait for one another, at twice the CPU time; and how sums are cut
+    up among them, and so their last bits, would depend on the machine.
+    """
+    ours = [name for name in LINEAR_ALGEBRA if name not in os.environ]
+    os.environ.update(dict.fromkeys(ours, "1"))
+    try:
+        yield
+    finally:
+        for name in ours:
+            os.environ.pop(name, None)
 
 
 class Ray:

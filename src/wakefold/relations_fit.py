@@ -124,11 +124,14 @@ class TogetherFit:
         together equals that of ghosts that would be.
         """
         spacing, shift, sd = self.spacing, 0.0, self.between
-        own, unreal = _terms(scene.looks, self.fade), _terms(scene.ghosts, self.fade)
+        terms = _terms(scene.looks, self.fade), _terms(scene.ghosts, self.fade)
+        designs = [_design(term, spacing, self.online) for term in terms]
         base = _base_rate(scene)
         for _ in range(ROUNDS):
-            z = self._told(own, spacing) + base
-            shift = self.trust * _shift(z, self._told(unreal, spacing) + base, scene.rate)
+            for design, term in zip(designs, terms, strict=True):
+                design[:, 1:3] = np.column_stack(_judged(term, spacing, self.online))
+            z, ghosts = (design @ self.weights + base for design in designs)
+            shift = self.trust * _shift(z, ghosts, scene.rate)
             p = _odds(z + shift)
             count = 0.2 * p.sum()
             precision = 1.0 / self.between**2 + count / self.within**2
@@ -220,9 +223,22 @@ def fit(
     Raises:
         ValueError: a scene without a pair together, labels that do not fit, or a setting out of range.
     """
+    return fits(scenes, together, fade=fade, ridge=ridge, trusts=[trust], online=online)[0]
+
+
+def fits(
+    scenes: list[Crowd],
+    together: list[Bools],
+    *,
+    fade: float = 0.5,
+    ridge: float = 0.5,
+    trusts: Sequence[float],
+    online: bool = False,
+) -> list[TogetherFit]:
+    """``fit`` for several values of ``trust``, which have the beginning in common."""
     if not scenes or len(scenes) != len(together):
         raise ValueError(f"fit needs labels for each scene, got {len(scenes)} scenes and {len(together)} of labels")
-    for name, value in (("fade", fade), ("trust", trust)):
+    for name, value in (("fade", fade), *(("trust", trust) for trust in trusts)):
         if not 0.0 <= value <= 1.0:
             raise ValueError(f"{name} must be between 0 and 1, got {value}")
     for number, (scene, y) in enumerate(zip(scenes, together, strict=True)):
@@ -237,22 +253,35 @@ def fit(
     unreal = [_design(_terms(s.ghosts, fade), m, online) for s, m in zip(scenes, means, strict=True)]
     importance = [np.full(len(y), 10.0 / np.sqrt(y.sum())) for y in together]
     labels, heavy = np.concatenate(together), np.concatenate(importance)
-    shifts, weights = [0.0] * len(scenes), np.zeros(designs[0].shape[1])
-    for repeat in range(REPEATS + 1):
+    design = np.concatenate(designs)
+
+    def weigh(shifts: Sequence[float]) -> Floats:
         offset = [np.full(len(x), _base_rate(s) + d) for x, s, d in zip(designs, scenes, shifts, strict=True)]
-        weights = logistic(np.concatenate(designs), labels, heavy, np.concatenate(offset), ridge)
-        if repeat < REPEATS:
-            shifts = [
-                trust * _shift(x @ weights + _base_rate(s), g @ weights + _base_rate(s), s.rate)
-                for x, g, s in zip(designs, unreal, scenes, strict=True)
-            ]
-    known = [
-        _friends(x @ weights + _base_rate(s) + d, s.pairs, s.people)
-        for x, s, d in zip(designs, scenes, shifts, strict=True)
-    ]
-    friends = logistic(np.concatenate(known)[:, ::-1], labels, heavy, np.zeros(len(labels)), 0.01)[::-1]
-    friends = np.ascontiguousarray(friends)
-    return TogetherFit(fade, trust, online, weights, friends, float(np.mean(means)), between, max(within, 0.05))
+        return logistic(design, labels, heavy, np.concatenate(offset), ridge)
+
+    def asked(weights: Floats) -> list[float]:
+        return [
+            _shift(x @ weights + _base_rate(s), g @ weights + _base_rate(s), s.rate)
+            for x, g, s in zip(designs, unreal, scenes, strict=True)
+        ]
+
+    first = asked(weigh([0.0] * len(scenes)))
+    out = []
+    for trust in trusts:
+        shifts = [trust * shift for shift in first]
+        weights = weigh(shifts)
+        for _ in range(REPEATS - 1):
+            shifts = [trust * shift for shift in asked(weights)]
+            weights = weigh(shifts)
+        known = [
+            _friends(x @ weights + _base_rate(s) + d, s.pairs, s.people)
+            for x, s, d in zip(designs, scenes, shifts, strict=True)
+        ]
+        friends = logistic(np.concatenate(known)[:, ::-1], labels, heavy, np.zeros(len(labels)), 0.01)[::-1]
+        friends = np.ascontiguousarray(friends)
+        centre, inside = float(np.mean(means)), max(within, 0.05)
+        out.append(TogetherFit(fade, trust, online, weights, friends, centre, between, inside))
+    return out
 
 
 class Soon(NamedTuple):
@@ -314,11 +343,16 @@ def _terms(seen: Looks, fade: float) -> _Terms:
 def _design(terms: _Terms, spacing: float, online: bool) -> Floats:
     """Columns of the regression; the constant last."""
     ones = np.ones(len(terms.amount))
-    if online:
-        near = terms.shape[:, : len(SPACING)]  # hat functions: straight lines between the knots
-        return np.column_stack([0.0 * ones, *(near @ x for x in _off(SPACING - spacing)), *terms.shape.T, ones])
-    off = _off(terms.log_spacing - spacing)
-    return np.column_stack([~terms.strolled, *off, *terms.shape.T, ones]).astype(np.float64)
+    never = 0.0 * ones if online else ~terms.strolled
+    return np.column_stack([never, *_judged(terms, spacing, online), *terms.shape.T, ones]).astype(np.float64)
+
+
+def _judged(terms: _Terms, spacing: float, online: bool) -> list[Floats]:
+    """The two columns that say how the spacing is off the scene's."""
+    if not online:
+        return list(_off(terms.log_spacing - spacing))
+    near = terms.shape[:, : len(SPACING)]  # hat functions: straight lines between the knots
+    return [near @ x for x in _off(SPACING - spacing)]
 
 
 def _off(off: Floats) -> tuple[Floats, Floats]:
@@ -347,14 +381,36 @@ def _shift(z: Floats, ghosts: Floats, rate: float) -> float:
     Solves sum p (1 - p) over pairs = rate times sum p over ghosts, the two sides of that balance.
     """
     low, high = -FARTHEST, FARTHEST
+    centre, (terms, size) = 0.0, _balance(z, ghosts, rate)
     for _ in range(50):
         middle = 0.5 * (low + high)
-        p = _odds(z + middle)
-        if (p * (1.0 - p)).sum() > rate * _odds(ghosts + middle).sum():
+        # By its Taylor series, which leaves out no more than h ** 4 of its parts; where that does not tell on which
+        # side the balance is, anew about the middle.
+        h = middle - centre
+        over = terms[0] + h * (terms[1] + h * (terms[2] / 2.0 + h * terms[3] / 6.0))
+        if abs(over) <= (h**4 + 1e-13) * size:
+            centre, (terms, size) = middle, _balance(z + middle, ghosts + middle, rate)
+            over = terms[0]
+        if over > 0.0:
             low = middle
         else:
             high = middle
     return 0.5 * (low + high)
+
+
+def _balance(z: Floats, ghosts: Floats, rate: float) -> tuple[list[float], float]:
+    """Sum p (1 - p) over pairs less rate times sum p over ghosts, with its first three derivatives; sum of both."""
+    p, g = _odds(z), _odds(ghosts)
+    q, r = p * (1.0 - p), g * (1.0 - g)
+    a, b = 1.0 - 2.0 * p, 1.0 - 2.0 * g
+    own, other = float(q.sum()), float(rate * g.sum())
+    terms = [
+        own - other,
+        float((q * a).sum() - rate * r.sum()),
+        float((q * (1.0 - 6.0 * q)).sum() - rate * (r * b).sum()),
+        float((q * a * (1.0 - 12.0 * q)).sum() - rate * (r * (1.0 - 6.0 * r)).sum()),
+    ]
+    return terms, own + other
 
 
 def _friends(z: Floats, pairs: Together, people: int) -> Floats:
@@ -384,15 +440,23 @@ def logistic(x: Floats, y: Bools, importance: Floats, offset: Floats, ridge: flo
     from scipy.optimize import minimize
 
     penalty = np.append(np.full(x.shape[1] - 1, ridge), 1e-9)
+    last, z, p, weighed = np.full(x.shape[1], np.nan), offset, offset, np.empty_like(x)
+
+    def look(w: Floats) -> None:
+        nonlocal last, z, p
+        if not np.array_equal(w, last):  # the curvature is mostly asked for where the loss has been
+            last, z = w.copy(), x @ w + offset
+            p = _odds(z)
 
     def loss(w: Floats) -> tuple[float, Floats]:
-        z = x @ w + offset
+        look(w)
         value = (importance * np.logaddexp(0.0, np.where(y, -z, z))).sum() + 0.5 * (penalty * w * w).sum()
-        return float(value), x.T @ (importance * (_odds(z) - y)) + penalty * w
+        return float(value), x.T @ (importance * (p - y)) + penalty * w
 
     def curvature(w: Floats) -> Floats:
-        p = _odds(x @ w + offset)
-        return (x * (importance * p * (1.0 - p))[:, None]).T @ x + np.diag(penalty)
+        look(w)
+        np.multiply(x, (importance * p * (1.0 - p))[:, None], out=weighed)
+        return weighed.T @ x + np.diag(penalty)
 
     start = np.zeros(x.shape[1])
     return minimize(loss, start, jac=True, hess=curvature, method="trust-exact", options={"gtol": 1e-6}).x

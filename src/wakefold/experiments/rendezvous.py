@@ -8,6 +8,7 @@ chosen on other scenes (docs/rendezvous.md); the rule chooses all it has anew in
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -66,11 +67,11 @@ EVEN = "the same, more likely than not"  # no threshold learned
 
 def best_rule(taught: Mapping[float, Motion], positive: NDArray[np.bool_]) -> tuple[float, Rule, float]:
     """The Kalman noise, the limits and the time that tell the training scenes best; of equals the median."""
-    tried, ships = [], {q: Nearness.of(taught[q]) for q in QS}
-    for q, distance, speed in product(QS, NEAR, SLOW):
-        rule = Rule(distance, speed)
-        at = threshold(near_and_slow(ships[q], rule), positive)
-        tried.append((at.f1, q, rule, at.score))
+    tried, rules = [], [Rule(*limits) for limits in product(NEAR, SLOW)]
+    for q in QS:
+        for rule, scores in zip(rules, near_and_slow(Nearness.of(taught[q]), rules), strict=True):
+            at = threshold(scores, positive)
+            tried.append((at.f1, q, rule, at.score))
     most = max(t[0] for t in tried)
     good = [t for t in tried if t[0] >= most - 1e-12]
     _, q, rule, score = good[len(good) // 2]
@@ -91,17 +92,24 @@ def split(spec: Mapping[str, Any]) -> dict[str, Any]:
     out[COLLAPSED] = f1(theirs > threshold(scores, taught.positive).score, judged.positive)
     smoothed = {q: (kalman(taught, sd, q, smooth=True), kalman(judged, sd, q, smooth=True)) for q in QS}
     q, rule, least = best_rule({q: views[0] for q, views in smoothed.items()}, taught.positive)
-    out[THEIRS] = f1(near_and_slow(Nearness.of(smoothed[q][1]), rule) > least, judged.positive)
-    filtered = kalman(taught, sd, Q, smooth=False), kalman(judged, sd, Q, smooth=False)
-    views = {"received": (received(taught), received(judged)), "filtered": filtered, "smoothed": smoothed[Q]}
+    out[THEIRS] = f1(near_and_slow(Nearness.of(smoothed[q][1]), [rule])[0] > least, judged.positive)
+    filtered = {q: kalman(judged, sd, q, smooth=False) for q in QS}
+
+    @cache
+    def seen(view: str) -> list[list[Floats]]:
+        if view == "smoothed":
+            return [features(motion) for motion in smoothed[Q]]
+        if view == "filtered":
+            return [features(motion) for motion in (kalman(taught, sd, Q, smooth=False), filtered[Q])]
+        return [features(received(some)) for some in (taught, judged)]
+
     for name in spec["models"]:
         learn, view, states = MODELS[name]
-        x, asked = (features(motion) for motion in views[view])
+        x, asked = seen(view)
         out[name] = _hmm(learn, x, taught, asked, judged, states, rng)
-    plain = {f"Kalman filter, {q:g} m²/s³": kalman(judged, sd, q, smooth=False).position for q in QS}
-    errors = {OURS: position, **plain}
+    errors = {OURS: position, **{f"Kalman filter, {q:g} m²/s³": filtered[q].position for q in QS}}
     # Before its first position was received, a ship is nowhere.
-    known = np.isfinite(filtered[1].position)
+    known = np.isfinite(filtered[Q].position)
     return {
         "f1": out,
         "error": {name: position_error(np.where(known, p, np.nan), judged) for name, p in errors.items()},

@@ -62,23 +62,29 @@ class Motion(NamedTuple):
 
 def kalman(scenes: Scenes, sd: float, q: float, *, smooth: bool) -> Motion:
     """Each ship by itself."""
-    out = Motion(np.empty_like(scenes.seen), np.empty_like(scenes.seen))
-    for i in range(len(scenes.seen)):
-        for ship in range(2):
-            state = constant_velocity(scenes.seen[i, ship], TIMES, sd, q=q, speed=SPEED, smooth=smooth)
-            out.position[i, ship], out.velocity[i, ship] = state.position, state.velocity
+    seen = scenes.seen
+    if np.isfinite(seen).all():  # one covariance serves all ships, side by side as further axes
+        n = len(seen)
+        state = constant_velocity(
+            seen.transpose(2, 0, 1, 3).reshape(STEPS, -1), TIMES, sd, q=q, speed=SPEED, smooth=smooth
+        )
+        position, velocity = (x.reshape(STEPS, n, 2, 2).transpose(1, 2, 0, 3) for x in (state.position, state.velocity))
+        return Motion(np.ascontiguousarray(position), np.ascontiguousarray(velocity))
+    out = Motion(np.empty_like(seen), np.empty_like(seen))
+    for i, ship in np.ndindex(seen.shape[:2]):
+        state = constant_velocity(seen[i, ship], TIMES, sd, q=q, speed=SPEED, smooth=smooth)
+        out.position[i, ship], out.velocity[i, ship] = state.position, state.velocity
     return out
 
 
 def received(scenes: Scenes) -> Motion:
     """The positions as received, in straight lines between them."""
-    position = np.empty_like(scenes.seen)
-    for i in range(len(position)):
-        for ship in range(2):
-            seen = scenes.seen[i, ship]
-            heard = np.isfinite(seen[:, 0])
-            for axis in range(2):
-                position[i, ship, :, axis] = np.interp(TIMES, TIMES[heard], seen[heard, axis])
+    position = scenes.seen.copy()
+    for i, ship in np.argwhere(np.isnan(position[..., 0]).any(axis=2)):
+        seen = scenes.seen[i, ship]
+        heard = np.isfinite(seen[:, 0])
+        for axis in range(2):
+            position[i, ship, :, axis] = np.interp(TIMES, TIMES[heard], seen[heard, axis])
     return Motion(position, np.gradient(position, DT, axis=2))
 
 
@@ -114,11 +120,12 @@ class Rule(NamedTuple):
     slow: float
 
 
-def near_and_slow(ships: Nearness, rule: Rule) -> Floats:
-    """``(n,)`` seconds of the longest time without a break that two ships were near and slow."""
-    holds = (ships.distance < rule.near) & (ships.speed < rule.slow)
-    run, longest = np.zeros(len(holds)), np.zeros(len(holds))
-    for now in holds.T:
+def near_and_slow(ships: Nearness, rules: Sequence[Rule]) -> Floats:
+    """``(rules, n)`` seconds of the longest time without a break that two ships were near and slow."""
+    near, slow = (np.array(limits)[:, None] for limits in zip(*rules, strict=True))
+    run, longest = np.zeros((len(rules), len(ships.speed))), np.zeros((len(rules), len(ships.speed)))
+    for distance, speed in zip(ships.distance.T, ships.speed.T, strict=True):
+        now = (distance < near) & (speed < slow)
         run = (run + 1) * now
         np.maximum(longest, run, out=longest)
     return longest * DT

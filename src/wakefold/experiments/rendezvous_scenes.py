@@ -146,11 +146,11 @@ def _polar(length: float | Floats, angle: float | Floats) -> Floats:
 
 def _wander(rng: Generator, correlation: float = 10 * MINUTE) -> Floats:
     """``(T,)`` an Ornstein-Uhlenbeck process of variance 1."""
-    keep = np.exp(-DT / correlation)
+    keep = float(np.exp(-DT / correlation))
     steps = rng.standard_normal(STEPS) * np.sqrt(1 - keep**2)
-    out = np.empty(STEPS)
+    out = []
     value = rng.standard_normal()
-    for t in range(STEPS):
-        value = keep * value + steps[t]
-        out[t] = value
-    return out
+    for step in steps.tolist():  # plain numbers: four times as fast
+        value = keep * value + step
+        out.append(value)
+    return np.array(out)

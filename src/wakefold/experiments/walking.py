@@ -16,11 +16,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wakefold.company import Beside, Company, beside, hide, learn_company
+from wakefold.company import Beside, Company, Told, accompanied, equations, hide, places, solve, told
 from wakefold.experiments.registry import Job, Section, Size
 from wakefold.experiments.walking_rivals import Logistic, Rule, f1, features, within
 from wakefold.io.pedestrians import FRAME, SCENES, PedestrianScene, read_scenes
-from wakefold.relations_fit import Crowd, SceneConstants, TogetherFit, crowd, fit, learn_soon
+from wakefold.relations_fit import Crowd, SceneConstants, TogetherFit, crowd, fit, fits, learn_soon
 from wakefold.reunion import Window, learn_reunion, reunite
 from wakefold.walkers import Walkers, follow
 
@@ -106,22 +106,24 @@ def learned(train: Sequence[Known], fade: float, ridge: float, trust: float) -> 
     return fit([k.crowd for k in train], [k.truth for k in train], fade=fade, ridge=ridge, trust=trust)
 
 
-def chosen(train: Sequence[Known]) -> dict[str, float]:
-    """The settings with the best mean F1, each training scene judged by constants of the others."""
-    best = (-1.0, 0.0, 0.0, 0.0)
-    for fade, ridge, trust in product(FADES, RIDGES, TRUSTS):
-        scores: list[float] = []
+def chosen(train: Sequence[Known]) -> tuple[dict[str, float], list[tuple[TogetherFit, SceneConstants]]]:
+    """The settings with the best mean F1, each training scene judged by constants of the others; and these, and what
+    each scene has told of itself.
+    """
+    best, kept = (-1.0, 0.0, 0.0, 0.0), []
+    for fade, ridge in product(FADES, RIDGES):
+        folds = []
         for k in train:
-            constants = learned([other for other in train if other is not k], fade, ridge, trust)
-            scores.append(f1(k.truth, constants.posterior(k.crowd, constants.settle(k.crowd)) > 0.5))
-        best = max(best, (float(np.mean(scores)), fade, ridge, trust))
-    return {"fade": best[1], "ridge": best[2], "trust": best[3]}
-
-
-def over_time(test: Known, train: Sequence[Known], settings: Mapping[str, float]) -> Floats:
-    """Beliefs about each pair up to each frame, with constants of the training scenes."""
-    constants = learned(train, **settings)
-    return constants.over_time(test.walkers, test.crowd, constants.settle(test.crowd))
+            others = [other for other in train if other is not k]
+            crowds, truth = [other.crowd for other in others], [other.truth for other in others]
+            fitted = fits(crowds, truth, fade=fade, ridge=ridge, trusts=TRUSTS)
+            folds.append([(constants, constants.settle(k.crowd)) for constants in fitted])
+        for trust, held in zip(TRUSTS, zip(*folds, strict=True), strict=True):
+            scores = [f1(k.truth, c.posterior(k.crowd, own) > 0.5) for k, (c, own) in zip(train, held, strict=True)]
+            score = (float(np.mean(scores)), fade, ridge, trust)
+            if score > best:
+                best, kept = score, list(held)
+    return {"fade": best[1], "ridge": best[2], "trust": best[3]}, kept
 
 
 def recognise(test: Known, others: list[Known], rng: np.random.Generator) -> tuple[dict[str, Any], dict[str, Floats]]:
@@ -129,7 +131,7 @@ def recognise(test: Known, others: list[Known], rng: np.random.Generator) -> tup
 
     The beliefs of a training scene come from the other training scenes, so they are as good as the test scene's.
     """
-    settings = chosen(others)
+    settings, held = chosen(others)
     constants = learned(others, **settings)
     own = constants.settle(test.crowd)
     p, truth = constants.posterior(test.crowd, own), test.truth
@@ -141,9 +143,9 @@ def recognise(test: Known, others: list[Known], rng: np.random.Generator) -> tup
         "logistic": rival.found(test.table),
     }
     draws = rng.integers(0, len(test.crowd.pairs.first), (RESAMPLES, len(truth)))
-    spread = {name: [f1(truth[d], x[d]) for d in draws] for name, x in found.items()}
+    spread = _spread(truth, found, draws)
     near = test.crowd.looks.closest < 3.0
-    beliefs = {k.scene.name: over_time(k, [o for o in others if o is not k], settings) for k in others}
+    beliefs = {k.scene.name: c.over_time(k.walkers, k.crowd, own) for k, (c, own) in zip(others, held, strict=True)}
     soon = learn_soon(list(beliefs.values()), [k.crowd.pairs for k in others], [k.truth for k in others])
     beliefs[test.scene.name] = constants.over_time(test.walkers, test.crowd, own)
     causal = beliefs[test.scene.name][test.crowd.pairs.offsets[1:] - 1]
@@ -168,6 +170,19 @@ def recognise(test: Known, others: list[Known], rng: np.random.Generator) -> tup
         "calibration": calibration(p[near], truth[near]),
         "calibration_logistic": calibration(rival.probability(test.table)[near], truth[near]),
     }, {name: soon.surer(p) for name, p in beliefs.items()}
+
+
+def _spread(truth: Bools, found: Mapping[str, Bools], draws: NDArray[np.int64]) -> dict[str, list[float]]:
+    """F1 of what each found, in pairs drawn again; ``draws (R, K)``."""
+    kind = sum((x.astype(np.int64) << k for k, x in enumerate(found.values(), 1)), truth.astype(np.int64))
+    kinds = np.arange(2 << len(found))
+    out: dict[str, list[float]] = {name: [] for name in found}
+    for d in draws:
+        count = np.bincount(kind[d], minlength=len(kinds))
+        for k, name in enumerate(found, 1):
+            true, said = count * (kinds & 1), count * (kinds >> k & 1)
+            out[name].append(float(2 * (true * (kinds >> k & 1)).sum() / max(int(true.sum()) + int(said.sum()), 1)))
+    return out
 
 
 def second_half(test: Known, constants: TogetherFit, own: SceneConstants) -> dict[str, float]:
@@ -204,11 +219,11 @@ def hidden(test: Known, others: list[Known], beliefs: Mapping[str, Floats], rng:
     best on all of them, each with what is learned from the others. Learned at every frame, judged at every sixth.
     """
 
-    def moments(k: Known, q: float, told: bool, every: int) -> Beside:
+    def moments(k: Known, q: float, sure: bool, every: int) -> Beside:
         walkers = follow(k.scene.tracks, FRAME, q=q)
         pairs = k.crowd.pairs
-        sure = np.repeat(k.truth, np.diff(pairs.offsets)).astype(np.float64)
-        return hide(walkers, pairs, sure if told else beliefs[k.scene.name], k.truth, every=every)
+        known = np.repeat(k.truth, np.diff(pairs.offsets)).astype(np.float64)
+        return hide(walkers, pairs, known if sure else beliefs[k.scene.name], k.truth, every=every)
 
     def alone(k: Known, q: float) -> float:
         seen = moments(k, q, True, 6)
@@ -216,42 +231,40 @@ def hidden(test: Known, others: list[Known], beliefs: Mapping[str, Floats], rng:
 
     q = min(WANDERS, key=lambda q: np.mean([alone(k, q) for k in others]))
     out: dict[str, Any] = {"q": q}
-    for name, told in (("believed", False), ("told", True)):
-        known = [_accompanied(moments(k, q, told, 1)) for k in others]
-
-        def score(how: tuple[float, float], known: list[Beside] = known) -> float:
-            ours = 0.0
-            for i, one in enumerate(known):
-                company = learn_company([k for j, k in enumerate(known) if j != i], lift=how[0], power=how[1])
-                ours += float(_errors_of(one, company).sum())
-            return ours
-
-        how = min(product(*COUNTS), key=score)
-        company = learn_company(known, lift=how[0], power=how[1])
-        rows = moments(test, q, told, 6)
-        members = _accompanied(rows)
-        first, _ = beside(members, company)
-        ours, plain = _errors_of(members, company), _errors_of(members, NOBODY)
-        out[name] = _ratio(ours.mean(axis=1), plain.mean(axis=1), members.person[first], rng)
+    for name, sure in (("believed", False), ("told", True)):
+        company = _company([accompanied(moments(k, q, sure, 1)) for k in others])
+        rows = moments(test, q, sure, 6)
+        members = accompanied(rows)
+        said = told(members, company.lift, company.power)
+        ours, plain = _errors_of(members, said, company), _errors_of(members, said, NOBODY)
+        out[name] = _ratio(ours.mean(axis=1), plain.mean(axis=1), members.person[said.first], rng)
         out[name]["at_the_end"] = float(ours[:, -1].mean() / plain[:, -1].mean())
-        out[name]["settings"] = list(how)
-        if not told:
-            strangers = _accompanied(rows, others=True)
-            out["strangers"] = [float(_errors_of(strangers, c).sum()) for c in (company, NOBODY)]
+        out[name]["settings"] = [company.lift, company.power]
+        if not sure:
+            strangers = accompanied(rows, others=True)
+            said = told(strangers, company.lift, company.power)
+            out["strangers"] = [float(_errors_of(strangers, said, c).sum()) for c in (company, NOBODY)]
     return out
 
 
-def _errors_of(moments: Beside, company: Company) -> Floats:
+def _company(known: Sequence[Beside]) -> Company:
+    """Learned in the way that does best on all scenes, each with what is learned from the others."""
+    best, most = NOBODY, np.inf
+    for lift, power in product(*COUNTS):
+        said = [told(one, lift, power) for one in known]
+        parts = [equations(*both) for both in zip(known, said, strict=True)]
+        error = 0.0
+        for i, (one, heard) in enumerate(zip(known, said, strict=True)):
+            others = solve([part for j, part in enumerate(parts) if j != i], lift=lift, power=power)
+            error += float(_errors_of(one, heard, others).sum())
+        if error < most:
+            best, most = solve(parts, lift=lift, power=power), error
+    return best
+
+
+def _errors_of(moments: Beside, said: Told, company: Company) -> Floats:
     """Squared errors ``(n, H)`` of the forecast by company."""
-    first, place = beside(moments, company)
-    return ((place - moments.truth[first]) ** 2).sum(axis=2)
-
-
-def _accompanied(rows: Beside, *, others: bool = False) -> Beside:
-    """The rows of those people and moments with one of the own group in sight; or of the others."""
-    keys = list(zip(rows.person.tolist(), rows.frame.tolist(), strict=True))
-    members = {key for key, together in zip(keys, rows.together, strict=True) if together}
-    return rows.rows(np.array([(key in members) != others for key in keys]))
+    return ((places(moments, said, company) - moments.truth[said.first]) ** 2).sum(axis=2)
 
 
 def blackout(

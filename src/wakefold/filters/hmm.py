@@ -69,7 +69,7 @@ class GaussianHMM:
         if self.cov.shape != (states, features, features):
             raise ValueError(f"cov must be ({states}, {features}, {features}), got shape {self.cov.shape}")
         for name, rows in (("initial", self.initial[None]), ("transition", self.transition)):
-            if not ((rows >= 0).all() and np.allclose(rows.sum(axis=1), 1)):
+            if not ((rows >= 0).all() and (np.abs(rows.sum(axis=1) - 1.0) <= 1e-5).all()):
                 raise ValueError(f"{name} must hold probabilities that sum to 1")
         try:
             lower = np.linalg.cholesky(self.cov)
@@ -159,6 +159,8 @@ class GaussianHMM:
             ValueError: no observations.
         """
         x, offsets = joined(sequences)
+        heard = np.isfinite(x).all(axis=1)
+        seen = slice(None) if heard.all() else heard
         model, before = self, -np.inf
         for _ in range(rounds):
             log_b = model.log_emission(x)
@@ -169,7 +171,7 @@ class GaussianHMM:
             if total - before < gain * len(x):
                 break
             before = total
-            model = _maximised(model, x, gamma, starts, moves, floor)
+            model = _maximised(model, x[seen], gamma[seen], starts, moves, floor)
         return model
 
     @classmethod
@@ -207,6 +209,8 @@ class GaussianHMM:
             _, label = kmeans2(x / scale, states, minit="++", rng=rng, missing="warn")
             model = _from_labels(x, label, states, least)
             model = model.improve(sequences, rounds=rounds, floor=least)
+            if restarts == 1:
+                return model
             fit = sum(model.log_likelihood(s) for s in sequences)
             if best is None or fit > most:
                 best, most = model, fit
@@ -303,9 +307,8 @@ def _moments(model: GaussianHMM, x: Floats, member: Floats, floor: ArrayLike) ->
 def _maximised(
     model: GaussianHMM, x: Floats, gamma: Floats, starts: Floats, moves: Floats, floor: ArrayLike
 ) -> GaussianHMM:
-    """The M-step: equations 40a to 40c and 53, 54."""
-    seen = np.isfinite(x).all(axis=1)
-    mean, cov = _moments(model, x[seen], gamma[seen], floor)
+    """The M-step: equations 40a to 40c and 53, 54; ``x`` and ``gamma`` of the observations that say something."""
+    mean, cov = _moments(model, x, gamma, floor)
     transition = np.where(moves.sum(axis=1, keepdims=True) > 0, _shares(moves), model.transition)
     return GaussianHMM(_shares(starts) if starts.sum() > 0 else model.initial, transition, mean, cov)
 

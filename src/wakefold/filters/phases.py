@@ -166,7 +166,7 @@ class PhaseFilter:
 
     def probabilities(self, belief: PairPhases) -> Floats:
         """``(P, phases)`` probability of each phase, in the order given."""
-        return np.add.reduceat(np.exp(belief.log_p), np.unique(self._of, return_index=True)[1], axis=1)
+        return np.add.reduceat(np.exp(belief.log_p), list(self._first.values()), axis=1)
 
     def log_odds(self, belief: PairPhases, names: Sequence[str]) -> Floats:
         """``(P,)`` of being in one of the phases named; at most 700 either way."""

@@ -81,7 +81,8 @@ def _shares(log_p, out):
 def _through(log_p, log_a, a, share, terms, out):
     """log of the sums over i of exp(log_p[i] + log_a[i, j]), into ``out`` (K,); ``a`` is exp(log_a).
 
-    By K exponentials instead of K * K; where a sum is so small that underflow could matter, by all of them.
+    By K exponentials instead of K * K, those of ``_shares``; where a sum is so small that underflow could matter, by
+    all of them. Returns what ``_shares`` does.
     """
     peak = _shares(log_p, share)
     for j in range(len(out)):
@@ -94,33 +95,46 @@ def _through(log_p, log_a, a, share, terms, out):
             for i in range(len(log_p)):
                 terms[i] = log_p[i] + log_a[i, j]
             out[j] = log_sum(terms)
+    return peak
 
 
-@kernel
-def forward(log_b, log_a, log_pi, alpha):
-    """Equations 19 and 20: log p(observations so far, state now) into alpha (T, K). Returns log p(all of them)."""
+@inner
+def _forward(log_b, log_a, a, log_pi, alpha, share, peak):
+    """``forward``; the shares of the states of each alpha and the largest, all but the last, go to share and peak."""
     count, states = log_b.shape
-    a, share, terms = np.exp(log_a), np.empty(states), np.empty(states)
+    terms = np.empty(states)
     for j in range(states):
         alpha[0, j] = log_pi[j] + log_b[0, j]
     for t in range(1, count):
-        _through(alpha[t - 1], log_a, a, share, terms, alpha[t])
+        peak[t - 1] = _through(alpha[t - 1], log_a, a, share[t - 1], terms, alpha[t])
         for j in range(states):
             alpha[t, j] += log_b[t, j]
     return log_sum(alpha[count - 1])
 
 
-@kernel
-def backward(log_b, log_a, beta):
-    """Equations 24 and 25: log p(observations to come given the state now) into beta (T, K)."""
+@inner
+def _backward(log_b, log_a, a, beta, share, peak):
+    """``backward``; the shares of log_b + beta of the next moment and the largest go to share and peak."""
     count, states = log_b.shape
-    a, share, terms, ahead = np.exp(log_a), np.empty(states), np.empty(states), np.empty(states)
+    terms, ahead = np.empty(states), np.empty(states)
     for i in range(states):
         beta[count - 1, i] = 0.0
     for t in range(count - 2, -1, -1):
         for j in range(states):
             ahead[j] = log_b[t + 1, j] + beta[t + 1, j]
-        _through(ahead, log_a.T, a.T, share, terms, beta[t])
+        peak[t] = _through(ahead, log_a.T, a.T, share[t], terms, beta[t])
+
+
+@kernel
+def forward(log_b, log_a, log_pi, alpha):
+    """Equations 19 and 20: log p(observations so far, state now) into alpha (T, K). Returns log p(all of them)."""
+    return _forward(log_b, log_a, np.exp(log_a), log_pi, alpha, np.empty_like(log_b), np.empty(len(log_b)))
+
+
+@kernel
+def backward(log_b, log_a, beta):
+    """Equations 24 and 25: log p(observations to come given the state now) into beta (T, K)."""
+    _backward(log_b, log_a, np.exp(log_a), beta, np.empty_like(log_b), np.empty(len(log_b)))
 
 
 @kernel
@@ -157,32 +171,32 @@ def expectations(log_b, offsets, log_a, log_pi, gamma, starts, moves, totals):
     sequence; adds to starts (K,) and moves (K, K). A sequence that no path explains adds nothing: its gamma is 0.
     """
     states = len(log_pi)
-    a, here, there, ahead = np.exp(log_a), np.empty(states), np.empty(states), np.empty(states)
+    a = np.exp(log_a)
     for n in range(len(offsets) - 1):
         lo, hi = offsets[n], offsets[n + 1]
         b = log_b[lo:hi]
-        alpha, beta = np.empty_like(b), np.empty_like(b)
-        total = forward(b, log_a, log_pi, alpha)
+        alpha, beta, here, there = np.empty_like(b), np.empty_like(b), np.empty_like(b), np.empty_like(b)
+        past, future = np.empty(hi - lo), np.empty(hi - lo)
+        total = _forward(b, log_a, a, log_pi, alpha, here, past)
         totals[n] = total
         if total == -np.inf:
             gamma[lo:hi] = 0.0
             continue
-        backward(b, log_a, beta)
+        _backward(b, log_a, a, beta, there, future)
         for t in range(hi - lo):
             for j in range(states):
                 gamma[lo + t, j] = math.exp(alpha[t, j] + beta[t, j] - total)
         for j in range(states):
             starts[j] += gamma[lo, j]
         for t in range(1, hi - lo):
-            for j in range(states):
-                ahead[j] = b[t, j] + beta[t, j]
-            scale = _shares(alpha[t - 1], here) + _shares(ahead, there) - total
+            scale = past[t - 1] + future[t - 1] - total
             if scale < 500.0:  # as in ``_through``: what underflow takes is less than 1e-80
                 weight = math.exp(scale)
                 for i in range(states):
                     for j in range(states):
-                        moves[i, j] += weight * here[i] * a[i, j] * there[j]
+                        moves[i, j] += weight * here[t - 1, i] * a[i, j] * there[t - 1, j]
             else:
                 for i in range(states):
                     for j in range(states):
-                        moves[i, j] += math.exp(alpha[t - 1, i] + log_a[i, j] + ahead[j] - total)
+                        ahead = b[t, j] + beta[t, j]
+                        moves[i, j] += math.exp(alpha[t - 1, i] + log_a[i, j] + ahead - total)

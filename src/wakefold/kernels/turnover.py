@@ -6,6 +6,38 @@ from wakefold.kernels.compile import kernel
 
 
 @kernel
+def within(points, strip, order, gate):
+    """Pairs of objects within ``gate``, (P, 2), the smaller place first.
+
+    Args:
+        points: (n, 2) objects strip by strip, in each by rising first coordinate.
+        strip: (n,) number of the strip of each, a whole one; a strip is at least ``gate`` wide.
+        order: (n,) place of each object.
+    """
+    n = len(points)
+    out, count, behind = np.empty((4 * n, 2), dtype=np.int64), 0, 0
+    for i in range(n):
+        x, y = points[i, 0], points[i, 1]
+        while behind < n and (
+            strip[behind] <= strip[i] or (strip[behind] == strip[i] + 1 and x - points[behind, 0] > gate)
+        ):
+            behind += 1
+        for ahead in range(2):  # of the own strip those that follow, and the next strip
+            j = behind if ahead else i + 1
+            while j < n and strip[j] == strip[i] + ahead and points[j, 0] - x <= gate:
+                apart = (points[j, 0] - x) ** 2 + (points[j, 1] - y) ** 2
+                if apart <= gate * gate:
+                    if count == len(out):
+                        more = np.empty((2 * count, 2), dtype=np.int64)
+                        more[:count] = out
+                        out = more
+                    out[count, 0], out[count, 1] = min(order[i], order[j]), max(order[i], order[j])
+                    count += 1
+                j += 1
+    return out[:count]
+
+
+@kernel
 def merge(first, second, place, mean, hidden, reach, wanted):
     """Which pairs there are after a step.
 
