@@ -79,7 +79,7 @@ def main(quick: bool = False) -> None:
             scores = [f1(k.truth, learned(k, [o for o in others if o is not k], fade)[0] > 0.5) for k in others]
             mean[fade] = float(np.mean(scores))
         fade = max(mean, key=lambda x: mean[x])
-        batch = walking.learned(others, **walking.chosen(others))
+        batch = walking.learned(others, **walking.chosen(others)[0])
         own = batch.settle(test.crowd)
         online, cost = learned(test, others, fade)
         by_hand, another = followed(test, BY_HAND, q=0.35, gate=6.0)

@@ -69,7 +69,7 @@ def page() -> str:
         (
             "Who walks with whom",
             relations_fit,
-            ["crowd", "Crowd", "fit", "TogetherFit", "SceneConstants", "learn_soon", "Soon"],
+            ["crowd", "Crowd", "fit", "TogetherFit", "SceneConstants", "learn_soon", "learn_surer", "Soon"],
         ),
         ("What company tells", company, ["hide", "Beside", "learn_company", "Company", "beside"]),
         ("Who is who at return", reunion, ["reunite", "Window", "learn_reunion", "Reunion"]),

@@ -10,7 +10,7 @@ from wakefold.experiments import walking
 from wakefold.experiments.registry import QUICK
 from wakefold.experiments.walking_rivals import Logistic, Rule, f1, features
 from wakefold.kernels import reunion as kernel
-from wakefold.relations_fit import Soon, crowd, fit, learn_soon
+from wakefold.relations_fit import Soon, crowd, fit, learn_soon, learn_surer
 from wakefold.reunion import Reunion, Window, learn_reunion, reunite
 from wakefold.tracks import Tracks
 from wakefold.walkers import DIFFERENCE, SPACING, follow, ghost_pairs, looks, pairs_of, running, steps
@@ -211,6 +211,11 @@ def test_beliefs_that_are_too_small_are_set_right(trained):
     told = learn_soon([1.0 / (1.0 + np.exp(3.0 - 0.5 * z)) for z in right], pairs, truth)
     assert told.slope == pytest.approx(2.0, rel=0.15)
     assert told.offset == pytest.approx(6.0, rel=0.15)
+    told = learn_surer(
+        [1.0 / (1.0 + np.exp(1.0 - z)) for z in right],
+        [np.repeat(y, np.diff(p.offsets)) for y, p in zip(truth, pairs, strict=True)],
+    )
+    assert (told.slope, told.offset) == pytest.approx((1.0, 1.0), rel=0.15)
     assert Soon(1.0, 0.0).surer(np.array([0.2, 0.9])) == pytest.approx([0.2, 0.9])
 
 

@@ -285,7 +285,7 @@ def fits(
 
 
 class Soon(NamedTuple):
-    """How much surer the log-odds over time should be; made by ``learn_soon``.
+    """How much surer the log-odds over time should be; made by ``learn_soon`` or ``learn_surer``.
 
     Attributes:
         slope, offset: of the log-odds.
@@ -310,17 +310,28 @@ def learn_soon(beliefs: Sequence[Floats], pairs: Sequence[Together], together: S
         pairs: of each scene.
         together: ``(K,)`` for each scene, whether each of its pairs is together.
     """
-    odds, labels, importance = [], [], []
+    said, labels = [], []
     for p, who, y in zip(beliefs, pairs, together, strict=True):
         at = who.offsets
         pair = np.repeat(np.arange(len(y)), np.diff(at))
         taken = np.flatnonzero(np.isin(np.arange(at[-1]) - at[pair] + 1, MOMENTS))
-        label = y[pair[taken]]
-        odds.append(_log_odds(p[taken]))
-        labels.append(label)
-        importance.append(np.full(len(taken), 10.0 / np.sqrt(max(label.sum(), 1))))
-    x = np.column_stack([np.concatenate(odds), np.ones(sum(map(len, odds)))])
-    slope, offset = logistic(x, np.concatenate(labels), np.concatenate(importance), np.zeros(len(x)), 0.3)
+        said.append(p[taken])
+        labels.append(y[pair[taken]])
+    return learn_surer(said, labels)
+
+
+def learn_surer(beliefs: Sequence[Floats], together: Sequence[Bools]) -> Soon:
+    """What beliefs at certain moments are worth: the correction that makes them right there.
+
+    Logistic regression on the log-odds; scenes weigh as in ``fit``.
+
+    Args:
+        beliefs: ``(n,)`` for each scene, from constants of other scenes.
+        together: ``(n,)`` for each scene, whether they are right.
+    """
+    importance = [np.full(len(y), 10.0 / np.sqrt(max(y.sum(), 1))) for y in together]
+    x = np.column_stack([_log_odds(np.concatenate(beliefs)), np.ones(sum(map(len, beliefs)))])
+    slope, offset = logistic(x, np.concatenate(together), np.concatenate(importance), np.zeros(len(x)), 0.3)
     return Soon(float(slope), float(offset))
 
 

@@ -20,7 +20,7 @@ from wakefold.company import Beside, Company, Told, accompanied, equations, hide
 from wakefold.experiments.registry import Job, Section, Size
 from wakefold.experiments.walking_rivals import Logistic, Rule, f1, features, within
 from wakefold.io.pedestrians import FRAME, SCENES, PedestrianScene, read_scenes
-from wakefold.relations_fit import Crowd, SceneConstants, TogetherFit, crowd, fit, fits, learn_soon
+from wakefold.relations_fit import Crowd, SceneConstants, TogetherFit, crowd, fit, fits, learn_soon, learn_surer
 from wakefold.reunion import Window, learn_reunion, reunite
 from wakefold.walkers import Walkers, follow
 
@@ -270,10 +270,15 @@ def _errors_of(moments: Beside, said: Told, company: Company) -> Floats:
 def blackout(
     test: Known, others: list[Known], beliefs: Mapping[str, Floats], rng: np.random.Generator
 ) -> dict[str, Any]:
-    """Everybody who stays is hidden for 8 s and comes back without a name: share of wrong names."""
-    known = [[(window, truth) for window, _, truth in _dark(k, beliefs[k.scene.name], every=2)] for k in others]
-    settings = learn_reunion(known)
-    cases = _dark(test, beliefs[test.scene.name])
+    """Everybody who stays is hidden for 8 s and comes back without a name: share of wrong names.
+
+    Beliefs are corrected once more, as the windows of the training scenes tell: of those who are about to leave the
+    scene there is nobody in them.
+    """
+    known = [_dark(k, beliefs[k.scene.name], every=2) for k in others]
+    settings = learn_reunion([[(window, truth) for window, _, truth in scene] for scene in known])
+    surer = learn_surer([_twos(scene, 1) for scene in known], [_twos(scene, 2) > 0 for scene in known])
+    cases = [(window, surer.surer(belief), truth) for window, belief, truth in _dark(test, beliefs[test.scene.name])]
     wrong: dict[str, Floats] = {}
     for which in ("plain", "believed", "told"):
         found = [
@@ -282,7 +287,7 @@ def blackout(
         ]
         wrong[which] = np.array([float((who != np.arange(len(who))).sum()) for who in found])
     people = sum(len(window.found) for window, *_ in cases)
-    out: dict[str, Any] = {"settings": list(settings), "windows": len(cases), "people": people}
+    out: dict[str, Any] = {"settings": list(settings), "surer": list(surer), "windows": len(cases), "people": people}
     for which in ("believed", "told"):
         out[which] = _ratio(wrong[which], wrong["plain"], np.arange(len(cases)), rng)
         out[which]["error"] = float(wrong[which].sum() / people)
@@ -311,6 +316,11 @@ def _dark(k: Known, belief: Floats, every: int = 10, before: int = 5) -> list[tu
         window = Window(w.position[row], w.velocity[row], back, (DARK + 1) * FRAME)
         out.append((window, (p + p.T)[both], (truth + truth.T)[both]))
     return out
+
+
+def _twos(cases: Sequence[tuple[Any, ...]], which: int) -> Floats:
+    """One of the ``(n, n)`` tables of windows, each two people once, laid end to end."""
+    return np.concatenate([case[which][np.triu_indices(len(case[which]), 1)] for case in cases])
 
 
 def _ratio(ours: Floats, plain: Floats, of: NDArray, rng: np.random.Generator) -> dict[str, Any]:

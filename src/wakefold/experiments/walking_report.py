@@ -199,7 +199,8 @@ def _reliability(results: list[dict[str, Any]], file: Path) -> Path:
 def _learned(root: str, name: str, recognised: dict[str, Any]) -> tuple[walking.Known, np.ndarray]:
     everybody = walking.scenes(root)
     test = next(k for k in everybody if k.scene.name == name)
-    belief = walking.over_time(test, [k for k in everybody if k is not test], recognised["settings"])
+    constants = walking.learned([k for k in everybody if k is not test], **recognised["settings"])
+    belief = constants.over_time(test.walkers, test.crowd, constants.settle(test.crowd))
     return test, Soon(*recognised["soon"]).surer(belief)
 
 
