@@ -56,7 +56,19 @@ def page() -> str:
         if inspect.isclass(thing):
             for inner, member in members(thing):
                 lines += entry(f"{name}.{inner}", member if isinstance(member, property) else getattr(thing, inner), 3)
-    from wakefold import company, datasets, events, places, plot, relations, relations_fit, reunion, scene, walkers
+    from wakefold import (
+        company,
+        corrections,
+        datasets,
+        events,
+        places,
+        plot,
+        relations,
+        relations_fit,
+        reunion,
+        scene,
+        walkers,
+    )
     from wakefold.filters import phases
 
     relational = [name for name in relations.__all__ if name not in wakefold.__all__]
@@ -69,8 +81,9 @@ def page() -> str:
         (
             "Who walks with whom",
             relations_fit,
-            ["crowd", "Crowd", "fit", "TogetherFit", "SceneConstants", "learn_soon", "learn_surer", "Soon"],
+            ["crowd", "Crowd", "fit", "TogetherFit", "SceneConstants"],
         ),
+        ("What beliefs are worth", corrections, ["learn_soon", "learn_surer", "Correction"]),
         ("What company tells", company, ["hide", "Beside", "learn_company", "Company", "beside"]),
         ("Who is who at return", reunion, ["reunite", "Window", "learn_reunion", "Reunion"]),
         ("Two objects, phase by phase", phases, ["Phase", "Turn", "PhaseFilter", "PairPhases"]),
@@ -83,7 +96,7 @@ def page() -> str:
         for name in names:
             thing = getattr(part, name)
             lines += entry(f"{where.split('.')[-1]}.{name}", thing, 3)
-            if inspect.isclass(thing) and part in (relations_fit, phases):
+            if inspect.isclass(thing) and part in (relations_fit, corrections, phases):
                 own = [(n, m) for n, m in members(thing) if n in vars(thing) and callable(m)]
                 lines += [x for n, _ in own for x in entry(f"{name}.{n}", getattr(thing, n), 4)]
     return "\n".join(lines).rstrip() + "\n"

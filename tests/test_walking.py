@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from wakefold.company import beside, hide, learn_company
+from wakefold.corrections import Correction, learn_soon, learn_surer
 from wakefold.experiments import walking
 from wakefold.experiments.registry import QUICK
 from wakefold.experiments.walking_rivals import Logistic, Rule, f1, features
 from wakefold.kernels import reunion as kernel
-from wakefold.relations_fit import Soon, crowd, fit, learn_soon, learn_surer
+from wakefold.relations_fit import crowd, fit
 from wakefold.reunion import Reunion, Window, learn_reunion, reunite
 from wakefold.tracks import Tracks
 from wakefold.walkers import DIFFERENCE, SPACING, follow, ghost_pairs, looks, pairs_of, running, steps
@@ -216,7 +217,7 @@ def test_beliefs_that_are_too_small_are_set_right(trained):
         [np.repeat(y, np.diff(p.offsets)) for y, p in zip(truth, pairs, strict=True)],
     )
     assert (told.slope, told.offset) == pytest.approx((1.0, 1.0), rel=0.15)
-    assert Soon(1.0, 0.0).surer(np.array([0.2, 0.9])) == pytest.approx([0.2, 0.9])
+    assert Correction(1.0, 0.0).surer(np.array([0.2, 0.9])) == pytest.approx([0.2, 0.9])
 
 
 def test_those_who_left_together_come_back_together():

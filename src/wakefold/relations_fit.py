@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wakefold.logistic import Bools, Floats, logistic, probability
 from wakefold.relations import PairEvidence, Relation
 from wakefold.walkers import (
     DIFFERENCE,
@@ -32,14 +32,10 @@ from wakefold.walkers import (
     running,
 )
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
-
 UNIT = 20.0  # frames; a pair seen for n frames counts as (n / UNIT) ** (1 - fade) such pairs
 ROUNDS = 12  # of learning a scene's constants in turn
 REPEATS = 3  # of fitting weights and shifts in turn
 FARTHEST = 6.0  # most that a scene shifts the log-odds
-MOMENTS = np.unique(np.rint(5 * 1.35 ** np.arange(20)).astype(np.int64))  # frames at which beliefs over time are judged
 CELLS = 18, 12  # between the outermost knots of spacing and of the difference of velocities, in a relation's evidence
 
 
@@ -132,7 +128,7 @@ class TogetherFit:
                 design[:, 1:3] = np.column_stack(_judged(term, spacing, self.online))
             z, ghosts = (design @ self.weights + base for design in designs)
             shift = self.trust * _shift(z, ghosts, scene.rate)
-            p = _odds(z + shift)
+            p = probability(z + shift)
             count = 0.2 * p.sum()
             precision = 1.0 / self.between**2 + count / self.within**2
             mean = float((p * scene.looks.log_spacing).sum() / max(p.sum(), 1e-9))
@@ -155,7 +151,7 @@ class TogetherFit:
         z = told * amount + self.weights[-1]
         if not self.online:
             z += np.column_stack([~strolled, *_off(log_spacing - constants.spacing)]) @ self.weights[:3]
-        return _odds(z + _base_rate(scene) + constants.shift)
+        return probability(z + _base_rate(scene) + constants.shift)
 
     def relation(
         self, scene: Crowd, constants: SceneConstants, *, name: str = "together", kind: str = "person"
@@ -180,7 +176,7 @@ class TogetherFit:
         first = (UNIT * scene.dt) ** (self.fade - 1.0)  # UNIT frames count as one
         table = first * (near[:, None, None] + alike[None, :, None])
         evidence = PairEvidence(distance, relative_speed, [0.0, 1.0], table, fade=self.fade)
-        prior = float(_odds(np.array(self.weights[-1] + _base_rate(scene) + constants.shift)))
+        prior = float(probability(np.array(self.weights[-1] + _base_rate(scene) + constants.shift)))
         return Relation(name, (kind, kind), rate_on=0.0, rate_off=0.0, prior=prior, evidence=evidence)
 
     def _told(self, terms: _Terms, spacing: float) -> Floats:
@@ -195,7 +191,7 @@ class TogetherFit:
         return told
 
     def _with_friends(self, z: Floats, pairs: Together, people: int) -> Floats:
-        return _odds(_friends(z, pairs, people) @ self.friends)
+        return probability(_friends(z, pairs, people) @ self.friends)
 
 
 def fit(
@@ -284,61 +280,6 @@ def fits(
     return out
 
 
-class Soon(NamedTuple):
-    """How much surer the log-odds over time should be; made by ``learn_soon`` or ``learn_surer``.
-
-    Attributes:
-        slope, offset: of the log-odds.
-    """
-
-    slope: float
-    offset: float
-
-    def surer(self, belief: Floats) -> Floats:
-        """Beliefs over time, corrected."""
-        return _odds(self.slope * _log_odds(belief) + self.offset)
-
-
-def learn_soon(beliefs: Sequence[Floats], pairs: Sequence[Together], together: Sequence[Bools]) -> Soon:
-    """Weights are learned from whole tracks, so that beliefs of the first seconds are too small: by how much.
-
-    Logistic regression on the log-odds at moments ever further apart; scenes weigh as in ``fit``. The beliefs must
-    come from constants of other scenes, or they look better than they are.
-
-    Args:
-        beliefs: ``(R,)`` for each scene, of ``TogetherFit.over_time``.
-        pairs: of each scene.
-        together: ``(K,)`` for each scene, whether each of its pairs is together.
-    """
-    said, labels = [], []
-    for p, who, y in zip(beliefs, pairs, together, strict=True):
-        at = who.offsets
-        pair = np.repeat(np.arange(len(y)), np.diff(at))
-        taken = np.flatnonzero(np.isin(np.arange(at[-1]) - at[pair] + 1, MOMENTS))
-        said.append(p[taken])
-        labels.append(y[pair[taken]])
-    return learn_surer(said, labels)
-
-
-def learn_surer(beliefs: Sequence[Floats], together: Sequence[Bools]) -> Soon:
-    """What beliefs at certain moments are worth: the correction that makes them right there.
-
-    Logistic regression on the log-odds; scenes weigh as in ``fit``.
-
-    Args:
-        beliefs: ``(n,)`` for each scene, from constants of other scenes.
-        together: ``(n,)`` for each scene, whether they are right.
-    """
-    importance = [np.full(len(y), 10.0 / np.sqrt(max(y.sum(), 1))) for y in together]
-    x = np.column_stack([_log_odds(np.concatenate(beliefs)), np.ones(sum(map(len, beliefs)))])
-    slope, offset = logistic(x, np.concatenate(together), np.concatenate(importance), np.zeros(len(x)), 0.3)
-    return Soon(float(slope), float(offset))
-
-
-def _log_odds(p: Floats) -> Floats:
-    return np.log(np.maximum(p, 1e-6)) - np.log(np.maximum(1.0 - p, 1e-6))
-
-
 class _Terms(NamedTuple):
     amount: Floats
     shape: Floats
@@ -391,83 +332,24 @@ def _shift(z: Floats, ghosts: Floats, rate: float) -> float:
 
     Solves sum p (1 - p) over pairs = rate times sum p over ghosts, the two sides of that balance.
     """
-    low, high = -FARTHEST, FARTHEST
-    centre, (terms, size) = 0.0, _balance(z, ghosts, rate)
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        # By its Taylor series, which leaves out no more than h ** 4 of its parts; where that does not tell on which
-        # side the balance is, anew about the middle.
-        h = middle - centre
-        over = terms[0] + h * (terms[1] + h * (terms[2] / 2.0 + h * terms[3] / 6.0))
-        if abs(over) <= (h**4 + 1e-13) * size:
-            centre, (terms, size) = middle, _balance(z + middle, ghosts + middle, rate)
-            over = terms[0]
-        if over > 0.0:
-            low = middle
-        else:
-            high = middle
-    return 0.5 * (low + high)
+    from scipy.optimize import root_scalar
 
+    def over(shift: float) -> float:
+        p = probability(z + shift)
+        return float((p * (1.0 - p)).sum() - rate * probability(ghosts + shift).sum())
 
-def _balance(z: Floats, ghosts: Floats, rate: float) -> tuple[list[float], float]:
-    """Sum p (1 - p) over pairs less rate times sum p over ghosts, with its first three derivatives; sum of both."""
-    p, g = _odds(z), _odds(ghosts)
-    q, r = p * (1.0 - p), g * (1.0 - g)
-    a, b = 1.0 - 2.0 * p, 1.0 - 2.0 * g
-    own, other = float(q.sum()), float(rate * g.sum())
-    terms = [
-        own - other,
-        float((q * a).sum() - rate * r.sum()),
-        float((q * (1.0 - 6.0 * q)).sum() - rate * (r * b).sum()),
-        float((q * a * (1.0 - 12.0 * q)).sum() - rate * (r * (1.0 - 6.0 * r)).sum()),
-    ]
-    return terms, own + other
+    if over(-FARTHEST) <= 0.0:
+        return -FARTHEST
+    if over(FARTHEST) >= 0.0:
+        return FARTHEST
+    return float(root_scalar(over, bracket=(-FARTHEST, FARTHEST), method="brentq").root)
 
 
 def _friends(z: Floats, pairs: Together, people: int) -> Floats:
     """Columns: constant, own log-odds, expected number of friends in common, and of friends of one alone."""
     p = np.zeros((people, people))
-    p[pairs.first, pairs.second] = p[pairs.second, pairs.first] = _odds(z)
+    p[pairs.first, pairs.second] = p[pairs.second, pairs.first] = probability(z)
     shared = (p @ p)[pairs.first, pairs.second]
     degree = p.sum(axis=1)
-    alone = degree[pairs.first] + degree[pairs.second] - 2.0 * _odds(z) - 2.0 * shared
+    alone = degree[pairs.first] + degree[pairs.second] - 2.0 * probability(z) - 2.0 * shared
     return np.column_stack([np.ones(len(z)), z, shared, np.maximum(alone, 0.0)])
-
-
-def _odds(z: Floats) -> Floats:
-    from scipy.special import expit
-
-    return expit(z)
-
-
-def logistic(x: Floats, y: Bools, importance: Floats, offset: Floats, ridge: float) -> Floats:
-    """Weights of a penalised logistic regression of ``y (n,)`` on ``x (n, k)``; the last column is not penalised.
-
-    Args:
-        importance: ``(n,)`` weight of each row.
-        offset: ``(n,)`` added to the log-odds.
-        ridge: penalty on squared weights.
-    """
-    from scipy.optimize import minimize
-
-    penalty = np.append(np.full(x.shape[1] - 1, ridge), 1e-9)
-    last, z, p, weighed = np.full(x.shape[1], np.nan), offset, offset, np.empty_like(x)
-
-    def look(w: Floats) -> None:
-        nonlocal last, z, p
-        if not np.array_equal(w, last):  # the curvature is mostly asked for where the loss has been
-            last, z = w.copy(), x @ w + offset
-            p = _odds(z)
-
-    def loss(w: Floats) -> tuple[float, Floats]:
-        look(w)
-        value = (importance * np.logaddexp(0.0, np.where(y, -z, z))).sum() + 0.5 * (penalty * w * w).sum()
-        return float(value), x.T @ (importance * (p - y)) + penalty * w
-
-    def curvature(w: Floats) -> Floats:
-        look(w)
-        np.multiply(x, (importance * p * (1.0 - p))[:, None], out=weighed)
-        return weighed.T @ x + np.diag(penalty)
-
-    start = np.zeros(x.shape[1])
-    return minimize(loss, start, jac=True, hess=curvature, method="trust-exact", options={"gtol": 1e-6}).x

@@ -37,7 +37,8 @@ GROWTH = 1.5  # of the radius; smaller means fewer distances and more searches
 TRACKS = 2048  # tracks to a piece of the search, on average
 ROOM = 1 << 15  # pairs a piece of the search may find before their distances are computed
 PIECE = 1 << 22  # cells of the dynamic programme in one piece of work, at least: a millisecond
-LONG = 64  # points of the mean track from which on distances are computed in float32 first
+LONG = 64  # points of the mean track from which on distances are computed in float32 first,
+MANY = 4096  # if there are so many tracks: of fewer it spares less time than it takes to compile
 PIECES = 4096  # pieces of work in a batch of distances, at most
 FADE, RISE = 0.75, 3  # of the time each radius takes, see Estimate
 
@@ -66,7 +67,7 @@ class Work(NamedTuple):
     executor: Executor
     points: Any  # of the tracks, as the executor shares them
     offsets: Any
-    singles: Any  # the points in float32 where tracks are long, else None
+    singles: Any  # the points in float32 where tracks are many and long, else None
     exponent: int  # of 2, the unit of the singles in metres
     extent: float  # no two points are further apart, metres
 
@@ -133,8 +134,6 @@ def spanning_tree(
     Raises:
         ValueError: positions so far apart that a distance overflows; a checkpoint that is damaged or of other tracks.
     """
-    from wakefold.kernels.frechet_tree import label_boxes
-
     estimate = Estimate(progress)
     count = len(tracks)
     index = index or TrackIndex(tracks, threads)
@@ -144,11 +143,13 @@ def spanning_tree(
     forest, settled = _begin(checkpoint, fingerprint, boxes.order)
     executor = executor or Threads(threads)
     share = executor.share
-    (singles,), exponent = in_units([tracks.points], "float32") if len(tracks.points) >= LONG * count else ([None], 0)
-    singles = None if singles is None else share(singles)
+    singles, exponent = None, 0
+    if count >= MANY and len(tracks.points) >= LONG * count:
+        (rounded,), exponent = in_units([tracks.points], "float32")
+        singles = share(rounded)
     work = Work(tracks, executor, share(tracks.points), share(tracks.offsets), singles, exponent, unit)
     shape = tuple(map(share, (boxes.features, index.lanes, boxes.bounds, boxes.low, boxes.high)))
-    part, box_part = np.arange(count), np.empty(len(boxes.low), dtype=np.int64)
+    part = np.arange(count)
     pieces = max(16, count // TRACKS)
     neighbours = np.abs(np.diff(boxes.features, axis=0)).max(axis=1)
     first_radius = max(unit * float(np.quantile(neighbours, 0.25)) / 2, margin)
@@ -161,8 +162,7 @@ def spanning_tree(
         while len(tiles):
             estimate.round(*_to_do(radius, forest))
             part[forest.order] = np.concatenate([[0], np.cumsum(forest.gaps > settled)])
-            label_boxes(part, boxes.bounds, box_part)
-            shared = (*shape, share(part), share(box_part), tracks.dim, done, limit)
+            shared = (*shape, share(part), share(_parts_of_boxes(part, boxes)), tracks.dim, done, limit)
             dealt = [tiles[k::pieces] for k in range(min(pieces, len(tiles)))]
             found = executor.map(_search, dealt, shared, lambda p: estimate.show(p / 2))
             tiles, a, b, square = map(np.concatenate, zip(*found, strict=True))
@@ -220,6 +220,16 @@ def _begin(directory: Directory | None, fingerprint: str, order: Ints) -> tuple[
         if not sound:
             raise store.StoreError(f"{os.fspath(directory)} is damaged: not a forest of these tracks")
     return grown_forest(None, first, second, heights, count), settled
+
+
+def _parts_of_boxes(part: Ints, boxes: Boxes) -> Ints:
+    """Part of each box whose tracks are all of one part, -1 of the others; ``part (M,)`` of tracks in box order."""
+    low, high = (reduce.reduceat(part, boxes.bounds[:-1]) for reduce in (np.minimum, np.maximum))
+    levels = [np.where(low == high, low, -1)]
+    while len(levels[-1]) > 1:
+        first, second = levels[-1].reshape(-1, 2).T
+        levels.append(np.where(first == second, first, -1))
+    return np.concatenate(levels[::-1])
 
 
 def _tiles(boxes: Boxes, pieces: int) -> Ints:

@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wakefold.company import Beside, Company, Told, accompanied, equations, hide, places, solve, told
+from wakefold.corrections import learn_soon, learn_surer
 from wakefold.experiments.registry import Job, Section, Size
 from wakefold.experiments.walking_rivals import Logistic, Rule, f1, features, within
 from wakefold.io.pedestrians import FRAME, SCENES, PedestrianScene, read_scenes
-from wakefold.relations_fit import Crowd, SceneConstants, TogetherFit, crowd, fit, fits, learn_soon, learn_surer
+from wakefold.relations_fit import Crowd, SceneConstants, TogetherFit, crowd, fit, fits
 from wakefold.reunion import Window, learn_reunion, reunite
 from wakefold.walkers import Walkers, follow
 

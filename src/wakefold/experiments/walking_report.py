@@ -11,11 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from wakefold import plot
+from wakefold.corrections import Correction
 from wakefold.experiments import walking
 from wakefold.experiments.registry import Claim, Picture, Section, Table
 from wakefold.io.pedestrians import FRAME
 from wakefold.plot_map import INK, PALETTE
-from wakefold.relations_fit import Soon
 
 BARS = {"eth": 0.72, "hotel": 0.85, "zara01": 0.90, "students03": 0.86}  # pairwise F1 aimed at
 MOMENT = 30.0  # seconds shown before the moment of the picture
@@ -201,7 +201,7 @@ def _learned(root: str, name: str, recognised: dict[str, Any]) -> tuple[walking.
     test = next(k for k in everybody if k.scene.name == name)
     constants = walking.learned([k for k in everybody if k is not test], **recognised["settings"])
     belief = constants.over_time(test.walkers, test.crowd, constants.settle(test.crowd))
-    return test, Soon(*recognised["soon"]).surer(belief)
+    return test, Correction(*recognised["soon"]).surer(belief)
 
 
 def _scene(root: str, name: str, recognised: dict[str, Any], file: Path) -> Path:

@@ -11,7 +11,8 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from wakefold.relations_fit import Crowd, logistic
+from wakefold.logistic import logistic
+from wakefold.relations_fit import Crowd
 from wakefold.walkers import Walkers, steps
 
 Floats = NDArray[np.float64]

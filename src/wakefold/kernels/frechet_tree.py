@@ -72,27 +72,6 @@ def useful_pairs(first, second, bound, start, rank, maxima, out):
     return start, count
 
 
-@kernel
-def label_boxes(part, bounds, box_part):
-    """Part of each box whose tracks are all of one part, -1 for the others.
-
-    Args:
-        part: ``(M,)`` part of each track.
-        bounds: ``(leaves + 1,)`` tracks of each leaf box.
-        box_part: ``(2 * leaves - 1,)``; the halves of box n are 2 n + 1 and 2 n + 2, leaves come last.
-    """
-    leaves = len(bounds) - 1
-    for leaf in range(leaves):
-        label = part[bounds[leaf]]
-        for x in range(bounds[leaf] + 1, bounds[leaf + 1]):
-            if part[x] != label:
-                label = -1
-                break
-        box_part[leaves - 1 + leaf] = label
-    for n in range(leaves - 2, -1, -1):
-        box_part[n] = box_part[2 * n + 1] if box_part[2 * n + 1] == box_part[2 * n + 2] else -1
-
-
 @inner
 def gaps_squared(features, a, lanes, leaf, d):
     """``gap_squared`` of one track and the tracks of a leaf box, one in every lane."""
