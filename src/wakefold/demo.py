@@ -120,7 +120,7 @@ def chosen(held_out: Tracks) -> int:
 def destined(model: Model, voyage: Floats, level: float) -> int:
     """The class at a level of the past voyage that is nearest to the whole of this one: a truthful coarse report."""
     whole = Tracks.from_arrays([voyage]).resample(spacing=SPACING)
-    away = distances_from(whole.points, model.tracks, np.arange(len(model.tracks)))
+    away = distances_from(whole, model.tracks, np.arange(len(model.tracks)))
     return model.filtration.class_at(int(np.argmin(away)), level)
 
 

@@ -99,17 +99,18 @@ def frechet_matrix(
     return out
 
 
-def distances_from(track: Floats, tracks: Tracks, others: NDArray[np.int64]) -> Floats:
-    """Discrete Fréchet distances ``(n,)`` of one track, ``(points, d)``, to some of the tracks, in the calling thread.
+def distances_from(track: Tracks, tracks: Tracks, others: NDArray[np.int64]) -> Floats:
+    """Discrete Fréchet distances ``(n,)`` of one track to some of the tracks, in the calling thread.
 
     Raises:
         ValueError: a distance that overflows.
     """
-    from wakefold.kernels.frechet import track_against_tracks
+    from wakefold.kernels.frechet import pairs_of_tracks
 
     by = np.argsort(tracks.offsets[others + 1] - tracks.offsets[others], kind="stable")
+    one, axes = np.zeros(len(others), dtype=np.int64), (0,) * tracks.dim
     found, out = np.empty(len(others)), np.empty(len(others))
-    track_against_tracks(track, tracks.points, tracks.offsets, others[by], (0,) * tracks.dim, found)
+    pairs_of_tracks(track.points, track.offsets, one, tracks.points, tracks.offsets, others[by], axes, found)
     out[by] = found
     if not np.isfinite(out).all():
         raise ValueError(f"track {str(tracks.ids[others[np.argmax(out)]])!r} is too far away: overflow")

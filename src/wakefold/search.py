@@ -116,7 +116,7 @@ class TrackIndex:
         return rows[by], bounds[by]
 
     def _distances(self, asked: Tracks, rows: Ints) -> Floats:
-        return distances_from(asked.points, self.tracks, self.boxes.order[rows])
+        return distances_from(asked, self.tracks, self.boxes.order[rows])
 
 
 def limit_of(reach: float, margin: float, unit: float) -> float:

@@ -332,7 +332,7 @@ def _measure(pairs: Ints, points: Floats, offsets: Ints) -> Floats:
 
     first, second = pairs.copy()  # contiguous, and writeable wherever this runs: the kernel is compiled for one type
     out = np.empty(len(first))
-    pairs_of_tracks(points, offsets, first, second, (0,) * points.shape[1], out)
+    pairs_of_tracks(points, offsets, first, points, offsets, second, (0,) * points.shape[1], out)
     return out
 
 

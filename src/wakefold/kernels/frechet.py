@@ -251,28 +251,30 @@ def rows_against_columns(
 
 
 @kernel
-def pairs_of_tracks(points, offsets, first, second, axes, out):
+def pairs_of_tracks(points, offsets, first, others, other_offsets, second, axes, out):
     """Fréchet distances of listed pairs of tracks.
 
     Args:
         points, offsets: ragged tracks.
-        first, second: ``(n,)`` tracks; no padding is wasted if neighbours in the list are of similar lengths.
+        first: ``(n,)`` one of them for each pair.
+        others, other_offsets, second: the other track of each pair, likewise. No padding is wasted if neighbours in the
+            list are of similar lengths.
         axes: tuple of d integers.
         out: ``(n,)`` distances.
     """
     d = points.shape[1]
     lanes = lanes_of(points)
     a = np.empty((longest(offsets, first, np.intp(0), len(first)) + TILE) * d * lanes, points.dtype)
-    b = np.empty(longest(offsets, second, np.intp(0), len(second)) * d * lanes, points.dtype)
-    table = np.empty(longest(offsets, second, np.intp(0), len(second)) * lanes, points.dtype)
+    widest = longest(other_offsets, second, np.intp(0), len(second))
+    b, table = np.empty(widest * d * lanes, points.dtype), np.empty(widest * lanes, points.dtype)
     for start in range(0, len(first), lanes):
         stop = min(start + lanes, len(first))
         rows = (longest(offsets, first, start, stop) + TILE - 1) // TILE * TILE
-        columns = longest(offsets, second, start, stop)
+        columns = longest(other_offsets, second, start, stop)
         for lane in range(lanes):
             k = min(start + lane, stop - 1)
             pack(points, offsets[first[k]], offsets[first[k] + 1], rows, a, lane)
-            pack(points, offsets[second[k]], offsets[second[k] + 1], columns, b, lane)
+            pack(others, other_offsets[second[k]], other_offsets[second[k] + 1], columns, b, lane)
         batch_squared(a, rows, b, columns, table, axes)
         for k in range(start, stop):
             out[k] = np.sqrt(table[(columns - 1) * lanes + k - start])
