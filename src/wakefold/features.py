@@ -96,7 +96,7 @@ def boxes_of(features: Singles) -> Boxes:
     starts, stops = (np.concatenate([bounds[side] for bounds in levels]) for side in (np.s_[:-1], np.s_[1:]))
     order = np.arange(len(features))
     low, high = np.empty((2, len(starts), features.shape[1]), dtype=np.float32)
-    divide(features, order, starts, stops, low, high)
+    divide(features, order, starts, stops, low, high, np.empty(len(features), dtype=np.float32))
     return Boxes(order, features[order], levels[-1], low, high)
 
 

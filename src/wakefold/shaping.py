@@ -108,11 +108,13 @@ def segment(
         raise ValueError("max_speed must be above 0")
     moving = np.ones(len(tracks.points), dtype=bool)
     if stop_radius is not None and stop_time is not None:
-        from wakefold.kernels.shaping import stop_mask
+        from wakefold.kernels.shaping import mark_stops
 
         if not (least := seconds(stop_time)) > 0:
             raise ValueError("stop_time must be above 0")
-        moving = ~stop_mask(tracks.points, tracks.times, tracks.offsets, metres(stop_radius), least)
+        stopped = np.zeros(len(tracks.points), dtype=bool)
+        mark_stops(tracks.points, tracks.times, tracks.offsets, metres(stop_radius), least, stopped)
+        moving = ~stopped
     longest = np.inf if max_gap is None else seconds(max_gap)
     cuts = ragged.gaps(tracks.times, tracks.offsets, longest)
     if max_speed is not None:
@@ -175,7 +177,8 @@ def simplify(tracks: Tracks, tolerance: Length) -> Tracks:
     """
     from wakefold.kernels.shaping import douglas_peucker
 
-    kept = douglas_peucker(tracks.points, tracks.offsets, metres(tolerance))
+    kept = np.zeros(len(tracks.points), dtype=bool)
+    douglas_peucker(tracks.points, tracks.offsets, metres(tolerance), kept)
     offsets = np.append(0, np.cumsum(kept))[tracks.offsets]
     thinned = take(tracks, np.flatnonzero(kept), offsets, np.arange(len(tracks)), tracks.ids)
     return _noted(thinned, [f"simplify: {(~kept).sum():,} of {len(kept):,} points left out"])

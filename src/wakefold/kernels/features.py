@@ -101,7 +101,7 @@ def corners(features, order, start, stop, step, low, high, n):
 
 
 @kernel
-def divide(features, order, starts, stops, low, high):
+def divide(features, order, starts, stops, low, high, values):
     """Halve the tracks at the median of their widest feature, again and again, and note the corners of the boxes.
 
     Args:
@@ -109,8 +109,9 @@ def divide(features, order, starts, stops, low, high):
         order: ``(M,)`` tracks, reordered so that box n holds ``order[starts[n]:stops[n]]``.
         starts, stops: ``(B,)`` the halves of box n are 2 n + 1 and 2 n + 2, leaves come last.
         low, high: ``(B, F)`` corners, written.
+        values: ``(M,)`` scratch.
     """
-    inner, values = len(starts) // 2, np.empty(len(order), features.dtype)
+    inner = len(starts) // 2
     for n in range(inner):
         corners(features, order, starts[n], stops[n], 1 + (stops[n] - starts[n]) // SAMPLE, low, high, n)
         widest = 0

@@ -8,15 +8,14 @@ from wakefold.kernels.compile import inner, kernel
 
 
 @kernel
-def stop_mask(points, times, offsets, radius, duration):
-    """``(P,)`` bool, true on the points of stops.
+def mark_stops(points, times, offsets, radius, duration, stopped):
+    """Mark the points of stops in ``stopped (P,)`` bool, false before.
 
     Scanning a track from its start, a stop begins at the first point p_i such that p_i..p_j all lie within
     ``radius`` of p_i and t_j - t_i >= ``duration``; j is as large as possible and the scan goes on at j + 1. A
     point that begins no stop was followed for less than ``duration``, so the work is linear in P for a given
     sampling rate, however long the stops.
     """
-    stopped = np.zeros(len(points), dtype=np.bool_)
     for m in range(len(offsets) - 1):
         i, end = offsets[m], offsets[m + 1]
         while i < end:
@@ -29,18 +28,17 @@ def stop_mask(points, times, offsets, radius, duration):
                     break
                 j += 1
             if times[j - 1] - times[i] >= duration:
-                stopped[i:j] = True
-                i = j
+                while i < j:
+                    stopped[i] = True
+                    i += 1
             else:
                 i += 1
-    return stopped
 
 
 @kernel
-def douglas_peucker(points, offsets, tolerance):
-    """``(P,)`` bool, true on the points kept: every other point lies within ``tolerance`` of the segment between
-    the kept points before and after it (Douglas & Peucker 1973, without recursion)."""
-    kept = np.zeros(len(points), dtype=np.bool_)
+def douglas_peucker(points, offsets, tolerance, kept):
+    """Mark in ``kept (P,)`` bool, false before, the points to keep: every other point lies within ``tolerance`` of the
+    segment between the kept points before and after it (Douglas & Peucker 1973, without recursion)."""
     longest = 0
     for m in range(len(offsets) - 1):
         longest = max(longest, offsets[m + 1] - offsets[m])
@@ -64,7 +62,6 @@ def douglas_peucker(points, offsets, tolerance):
                 stack[top, 0], stack[top, 1] = a, split
                 stack[top + 1, 0], stack[top + 1, 1] = split, b
                 top += 2
-    return kept
 
 
 @inner
