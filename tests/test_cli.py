@@ -459,6 +459,19 @@ def test_columns_by_position_in_a_table_without_a_header(room: Path) -> None:
     assert (code, json.loads(out)["points"]) == (0, 210)
 
 
+def test_learning_goes_on_from_a_checkpoint_of_the_same_tracks_only(room: Path) -> None:
+    import wakefold as wf
+
+    for _ in range(2):  # from nothing, then from all that is known
+        assert run("learn harbour.csv -o kept.model --checkpoint kept")[0] == 0
+        assert wf.load("kept.model").filtration.gaps.tolist() == wf.load("harbour.model").filtration.gaps.tolist()
+    (room / "other.csv").write_text("".join(harbour().splitlines(keepends=True)[:-1]))
+    code, _, problem = run("learn other.csv -o other.model --checkpoint kept")
+    assert code == 1
+    assert "kept is a checkpoint of other tracks" in problem
+    assert not (room / "other.model").exists()
+
+
 def test_two_ships_of_one_name_are_told_apart_by_their_speed(room: Path) -> None:
     rows = [f"twin,2020-12-01T06:{i:02d}:00Z,-{74 + 2 * (i // 10)}.{i:03d},40.6\n" for i in range(20)]
     (room / "twins.csv").write_text(harbour() + "".join(rows))

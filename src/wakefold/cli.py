@@ -112,6 +112,10 @@ def learn(
     columns: Columns = "",
     time_format: TimeFormat = None,
     threads: Annotated[int | None, typer.Option(help="Of the distances; all cores without.", min=1)] = None,
+    checkpoint: Annotated[
+        Path | None,
+        opt("Directory from which an interrupted comparison of the tracks goes on."),
+    ] = None,
     json_: Json = False,
 ) -> None:
     """Learn a model from past tracks.
@@ -158,6 +162,7 @@ def learn(
             epsilon=radius,
             threads=threads,
             progress=update,
+            checkpoint=checkpoint,
         )
     with naming(output):
         model.save(output)

@@ -95,6 +95,7 @@ def learn(
     sd: float | None = None,
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
 ) -> Model:
     """Learn movement classes and their dynamics from historical tracks.
 
@@ -106,11 +107,12 @@ def learn(
         sd: of a fix that does not tell its own, metres; half the median spacing of track points by default.
         threads: of the distance kernel, all cores by default.
         progress: called with the share of the work done, 0 to 1.
+        checkpoint: directory from which an interrupted comparison of the tracks goes on, see ``Filtration.fit``.
 
     Raises:
-        ValueError: no tracks, or a setting out of range.
+        ValueError: no tracks, a setting out of range, or a checkpoint that cannot serve.
     """
-    filtration = Filtration.fit(tracks, linkage=linkage, threads=threads, progress=progress)
+    filtration = Filtration.fit(tracks, linkage=linkage, threads=threads, progress=progress, checkpoint=checkpoint)
     dynamics = Dynamics.learn(tracks, filtration, epsilon=epsilon, noise=noise, scale=scale)
     if sd is None:
         spacing = tracks.median_spacing
