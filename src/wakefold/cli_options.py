@@ -23,7 +23,6 @@ T = TypeVar("T")
 MOST_LEVELS = 20  # that are asked for by number; a larger number is a height without its unit
 MOVING = 1000.0  # metres; a geodetic track that gets no farther is a ship at anchor or at its berth
 FINEST, COARSEST = 20.0, 200.0  # metres; the noise of positions, and turns in a channel that must not be cut
-SHIPS = 60.0  # metres per second, as the readers have it
 RESTING = 100.0  # metres; a moored ship swings that far, and its positions scatter
 PICTURES = (".png", ".svg", ".pdf")
 STANDARD = Path("-")  # standard input or output
@@ -246,12 +245,14 @@ def at_rest(tracks: Tracks) -> str | None:
 
 def impossible(tracks: Tracks) -> str | None:
     """A remark if some legs, few of all, are faster than ships: two agents share a name. None if not."""
+    from wakefold.io.collect import MAX_GEODETIC_SPEED
     from wakefold.shaping import fast_legs
 
-    fast = int(fast_legs(tracks, SHIPS).sum())
+    fast = int(fast_legs(tracks, MAX_GEODETIC_SPEED).sum())
     if tracks.projection is None or fast == 0 or 10 * fast > len(tracks.points):
         return None
-    return f"{counted(fast, 'leg')} from point to point would take more than {SHIPS:.0f} m/s; see --max-speed"
+    limit = f"more than {MAX_GEODETIC_SPEED:.0f} m/s"
+    return f"{counted(fast, 'leg')} from point to point would take {limit}; see --max-speed"
 
 
 def _extent(tracks: Tracks) -> np.ndarray:
