@@ -9,12 +9,13 @@ import sys
 
 import numpy as np
 
-from wakefold import demo
-from wakefold.demo_scores import Method, constant_velocity, errors, nearest_track, particle, questions
-from wakefold.evidence import Fix
+from wakefold.base.parallel import thread_map
+from wakefold.evidence.fix import Fix
+from wakefold.experiments.harbour import demo
 from wakefold.filters.mhpf import MHPF
-from wakefold.parallel import thread_map
-from wakefold.tracks import Tracks
+from wakefold.forecast.rivals import constant_velocity, nearest_track, particle
+from wakefold.forecast.scores import Method, errors, questions
+from wakefold.tracks.tracks import Tracks
 
 SCALES, SDS = (8.0, 15.0), (25.0, 50.0, 100.0)  # m/sqrt(s), metres
 

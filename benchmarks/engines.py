@@ -15,7 +15,7 @@ from time import process_time
 import numpy as np
 
 import wakefold as wf
-from wakefold.relations import couple_velocity, near, same_velocity
+from wakefold.relations.model import couple_velocity, near, same_velocity
 
 DT, SD, FRAMES = 0.4, 0.3, 12
 REFERENCE = 100_000  # particles

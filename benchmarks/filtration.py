@@ -23,9 +23,9 @@ from time import perf_counter, process_time
 import numpy as np
 
 from benchmarks.frechet import clustered_tracks
-from wakefold.distance import frechet_matrix
-from wakefold.filtration import Filtration
-from wakefold.tracks import Tracks
+from wakefold.model.filtration import Filtration
+from wakefold.model.linkage.distance import frechet_matrix
+from wakefold.tracks.tracks import Tracks
 
 GRAND_CENTRAL = Path(__file__).resolve().parents[2] / "shared/data/grand_central/grand_central.parquet"
 

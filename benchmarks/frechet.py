@@ -18,8 +18,8 @@ from time import perf_counter, process_time
 
 import numpy as np
 
-from wakefold.distance import frechet_matrix
-from wakefold.tracks import Tracks
+from wakefold.model.linkage.distance import frechet_matrix
+from wakefold.tracks.tracks import Tracks
 
 FIRST_CALL = """
 import json, sys, time

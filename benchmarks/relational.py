@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import wakefold as wf
-from wakefold.kernels import pairs as kernel
-from wakefold.relations import couple_velocity, near, same_velocity
+from wakefold.relations.kernels import pairs as kernel
+from wakefold.relations.model import couple_velocity, near, same_velocity
 
 DT = 0.4  # seconds between frames
 SD = 0.1  # metres

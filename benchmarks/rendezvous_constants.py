@@ -1,10 +1,10 @@
 """How the constants of the filter in phases were learned: ``python -m benchmarks.rendezvous_constants [generations]``.
 
 Evolution strategy with adapted covariance (CMA-ES; Hansen, "The CMA Evolution Strategy: A Tutorial", 2016) over the
-logarithms of the constants, from those in ``wakefold.experiments.rendezvous_filter``. What is made small, on 300 tuning
+logarithms of the constants, from those in ``experiments.rendezvous.relational``. What is made small, on 300 tuning
 scenes with all positions and 300 with 60 % missing: the log-loss of "the ships have met", as said and at its best scale
 and offset (half each), and a tenth of the position error as a share of the Kalman filter's. None of these scenes is
-among those of ``wakefold.experiments.rendezvous``.
+among those of ``wakefold.experiments.rendezvous.trials``.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import sys
 import numpy as np
 from scipy.optimize import minimize
 
-from wakefold.experiments.rendezvous import Q
-from wakefold.experiments.rendezvous_filter import LEARNED, Constants, meeting, phases
-from wakefold.experiments.rendezvous_rivals import f1, kalman, position_error
-from wakefold.experiments.rendezvous_scenes import HARD, scenes
+from wakefold.experiments.rendezvous.relational import LEARNED, Constants, meeting, phases
+from wakefold.experiments.rendezvous.rivals import f1, kalman, position_error
+from wakefold.experiments.rendezvous.scenes import HARD, scenes
+from wakefold.experiments.rendezvous.trials import Q
 
 SEED, SD, SHARES, SCENES, POSITION = 20111, 200.0, (0.0, 0.6), 300, 0.1
 SOME = [scenes(SCENES, HARD, SD, np.random.default_rng([SEED, k]), missing=m) for k, m in enumerate(SHARES)]

@@ -2,7 +2,7 @@
 
 Every hidden Markov model is tried with each of its settings on the same tuning scenes (hard negatives, noise of 200 m):
 it learns from 60 and is judged, by F1 at the threshold of the training part, on 150 others; twice. None of these scenes
-is among those of ``wakefold.experiments.rendezvous``.
+is among those of ``wakefold.experiments.rendezvous.trials``.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from itertools import product
 
 import numpy as np
 
-from wakefold.experiments.rendezvous_rivals import (
+from wakefold.experiments.rendezvous.rivals import (
     States,
     decoded,
     f1,
@@ -22,7 +22,7 @@ from wakefold.experiments.rendezvous_rivals import (
     threshold,
     two_class,
 )
-from wakefold.experiments.rendezvous_scenes import HARD, scenes
+from wakefold.experiments.rendezvous.scenes import HARD, scenes
 
 SEED, SD, FOLDS = 20111, 200.0, 2
 QS = (0.0005, 0.002, 0.005)

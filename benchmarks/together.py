@@ -17,11 +17,11 @@ from time import process_time
 import numpy as np
 
 import wakefold as wf
-from wakefold.experiments import walking
-from wakefold.experiments.walking_rivals import f1
-from wakefold.io.pedestrians import FRAME
-from wakefold.relations import couple_velocity, near, same_velocity
-from wakefold.relations_fit import fit
+from wakefold.experiments.walking import trials as walking
+from wakefold.experiments.walking.pedestrians import FRAME
+from wakefold.experiments.walking.rivals import f1
+from wakefold.relations.learning.together import fit
+from wakefold.relations.model import couple_velocity, near, same_velocity
 
 FADES = (0.0, 0.15, 0.3, 0.5)
 BY_HAND = wf.Relation(  # that of docs/relational.md

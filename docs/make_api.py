@@ -56,20 +56,17 @@ def page() -> str:
         if inspect.isclass(thing):
             for inner, member in members(thing):
                 lines += entry(f"{name}.{inner}", member if isinstance(member, property) else getattr(thing, inner), 3)
-    from wakefold import (
-        company,
-        corrections,
-        datasets,
-        events,
-        places,
-        plot,
-        relations,
-        relations_fit,
-        reunion,
-        scene,
-        walkers,
-    )
-    from wakefold.filters import phases
+    from wakefold import plot
+    from wakefold.experiments.mhpf import datasets
+    from wakefold.experiments.walking import blackout as reunion
+    from wakefold.experiments.walking import hidden as company
+    from wakefold.experiments.walking import recalibration as corrections
+    from wakefold.io import places
+    from wakefold.relations import model as relations
+    from wakefold.relations import phases, scene
+    from wakefold.relations.events import events
+    from wakefold.relations.learning import together as relations_fit
+    from wakefold.relations.learning import walkers
 
     relational = [name for name in relations.__all__ if name not in wakefold.__all__]
     parts = (

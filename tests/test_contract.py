@@ -1,136 +1,175 @@
-"""The house rules: imports point downwards only, importing is light, nothing is pickled."""
+"""The house rules: an ordered list of packages, no circles, small files; importing is light, nothing is pickled."""
 
 import ast
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import wakefold
 
 SOURCE = Path(wakefold.__file__).parent
-# From the top of the house to the bottom; modules of one storey may know each other.
-STOREYS = [
-    ["__main__", "cli*"],
-    ["demo*"],
-    ["observations", "export"],
-    ["experiments.*"],
-    ["plot*", "datasets"],
-    ["events"],
-    ["filters.*"],
-    ["collapsed", "joint"],
-    ["blocks", "blind"],
-    ["association", "gating"],
-    ["scene"],
-    ["activities", "couplings"],
-    ["relations_fit"],
-    ["corrections"],
-    ["detections", "relations"],
-    ["predicates"],
-    ["confusion"],
-    ["particles", "deviation"],
-    ["belief"],
-    ["io.*"],
-    ["model"],
-    ["evidence"],
-    ["dynamics"],
-    ["filtration"],
-    ["growth"],
-    ["spanning"],
-    ["search"],
-    ["dendrogram", "distance", "features"],
-    ["company", "reunion"],
-    ["walkers"],
-    ["logistic"],
-    ["stops"],
-    ["tracks", "shaping"],
-    ["ragged", "sketch", "projection", "units", "smoothing", "places", "wording"],
-    ["store"],
-    ["parallel"],
-    ["kernels.*"],
+TESTS = Path(__file__).parent
+# From the bottom of the house to the top: a package imports only packages that stand before it.
+PACKAGES = [
+    "base",
+    "tracks",
+    "io",
+    "model",
+    "plot",
+    "relations",
+    "evidence",
+    "filters",
+    "forecast",
+    "experiments",
+    "service",
+    "cli",
 ]
+AT_THE_TOP = {"__init__", "__main__", *PACKAGES}
+LONGEST = 400  # lines of a file
 
 
-def modules():
-    for file in sorted(SOURCE.rglob("*.py")):
-        name = ".".join(file.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__")
-        if name != "__init__":
-            yield name, file
+def files() -> list[Path]:
+    return sorted(SOURCE.rglob("*.py"))
 
 
-def storey(name):
-    from fnmatch import fnmatch
-
-    for level, patterns in enumerate(STOREYS):
-        if any(fnmatch(name, p) or fnmatch(f"{name}.x", p) for p in patterns):
-            return level
-    raise AssertionError(f"module {name} has no place in the house: add it to STOREYS")
-
-
-def imported(file, typing_too=False):
-    """Modules of wakefold a file imports, anywhere in it but for typing."""
-    tree = ast.parse(file.read_text())
-    skipped = set()
-    if not typing_too:
-        for node in ast.walk(tree):
-            if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-                skipped |= {id(inner) for inner in ast.walk(node)}
-    for node in ast.walk(tree):
-        if id(node) in skipped:
-            continue
+def imported(file: Path, source: Path = SOURCE) -> Iterator[Path]:
+    """Files of the package that a file imports, anywhere in it, imports for typing too."""
+    for node in ast.walk(ast.parse(file.read_text())):
+        names = []
         if isinstance(node, ast.Import):
-            yield from (a.name.removeprefix("wakefold.") for a in node.names if a.name.startswith("wakefold."))
-        elif isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "wakefold":
-            inside = node.module.removeprefix("wakefold").lstrip(".")
-            for alias in node.names:
-                name = f"{inside}.{alias.name}".lstrip(".")
-                path = SOURCE.joinpath(*name.split("."))
-                if path.with_suffix(".py").exists() or path.is_dir():
-                    yield name
-                elif inside:
-                    yield inside
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, f"{file}: imports are absolute"
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        for name in names:
+            parts = name.split(".")
+            if parts.pop(0) != "wakefold":
+                continue
+            while True:  # the last part may be a name inside a file
+                path = source.joinpath(*parts)
+                if found := next((p for p in (path.with_suffix(".py"), path / "__init__.py") if p.exists()), None):
+                    yield found
+                    break
+                parts.pop()
 
 
-def test_imports_point_downwards_only():
-    wrong = [
-        f"{name} imports {other}"
-        for name, file in modules()
-        for other in imported(file)
-        if storey(other) < storey(name)
-    ]
-    assert not wrong, "\n".join(wrong)
+def upwards(source: Path) -> list[str]:
+    """Imports of a higher package, or of the face of the whole by what stands below the command line."""
+    wrong = []
+    for file in sorted(source.rglob("*.py")):
+        own = file.relative_to(source).parts[0]
+        for other in imported(file, source):
+            theirs = other.relative_to(source).parts[0]
+            if own not in PACKAGES or theirs == own:
+                continue
+            if theirs not in PACKAGES:
+                fine = own == "cli" and theirs == "__init__.py"
+            else:
+                fine = PACKAGES.index(theirs) < PACKAGES.index(own)
+            if not fine:
+                wrong.append(f"{file.relative_to(source)} imports {other.relative_to(source)}")
+    return wrong
+
+
+def circles(source: Path) -> list[str]:
+    """Files from which a path of imports leads back to them."""
+    to = {file: set(imported(file, source)) - {file} for file in sorted(source.rglob("*.py"))}
+    free = dict(to)
+    while leaves := [file for file, others in free.items() if not others & free.keys()]:
+        for file in leaves:
+            del free[file]
+    # What is left imports a circle or is in one; what nobody left imports only leads there.
+    while tops := [file for file in free if not any(file in to[other] for other in free if other != file)]:
+        for file in tops:
+            del free[file]
+    return [str(file.relative_to(source)) for file in free]
+
+
+def test_packages_import_downwards_only():
+    assert not upwards(SOURCE)
+
+
+def test_no_files_import_each_other_in_a_circle():
+    assert not circles(SOURCE)
+
+
+def test_the_rules_see_what_they_forbid(tmp_path):
+    for name in ("base", "tracks", "io"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "__init__.py").write_text("")
+    (tmp_path / "base/a.py").write_text(
+        "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from wakefold.base import b\n"
+    )
+    (tmp_path / "base/b.py").write_text("def f():\n    import wakefold.base.a\n")
+    (tmp_path / "tracks/c.py").write_text("from wakefold.io.d import x\n")
+    (tmp_path / "io/d.py").write_text("import wakefold\nx = 1\n")
+    (tmp_path / "io/e.py").write_text("from wakefold.base.a import b\n")
+    assert circles(tmp_path) == ["base/a.py", "base/b.py"]
+    assert upwards(tmp_path) == ["io/d.py imports __init__.py", "tracks/c.py imports io/d.py"]
+
+
+def test_nothing_else_stands_at_the_top():
+    there = {p.stem for p in SOURCE.iterdir() if p.name not in ("py.typed", "__pycache__")}
+    assert there == AT_THE_TOP
+
+
+def test_tests_stand_where_the_code_does():
+    assert {p.name for p in TESTS.iterdir() if p.is_dir() and list(p.glob("test_*.py"))} <= set(PACKAGES)
+
+
+def test_files_are_small():
+    long = {str(f.relative_to(SOURCE)): n for f in files() if (n := len(f.read_text().splitlines())) > LONGEST}
+    assert not long
 
 
 def test_filters_do_not_import_one_another():
-    for name, file in modules():
-        if name.startswith("filters."):
-            assert not [other for other in imported(file, typing_too=True) if other.startswith("filters")], name
+    shared = {"belief.py", "particles.py", "__init__.py"}
+    filters = {f for f in (SOURCE / "filters").glob("*.py") if f.name not in shared}
+    for file in filters:
+        assert not filters & set(imported(file)), file.name
 
 
-def test_kernels_know_nothing_of_the_house():
-    for name, file in modules():
-        if name.startswith("kernels"):
-            assert all(other.startswith("kernels") for other in imported(file, typing_too=True)), name
+def kernels() -> list[Path]:
+    return [f for f in files() if f.name == "kernels.py" or f.parent.name == "kernels" or f.parent.name == "base"]
+
+
+def test_compiled_code_stands_in_kernels_and_knows_only_kernels():
+    for file in files():
+        if "base/compile.py" in {str(other.relative_to(SOURCE)) for other in imported(file)}:
+            assert file in kernels(), f"{file} compiles, and is no kernels.py nor in a folder kernels/"
+    for file in kernels():
+        if file.parent.name != "base":
+            assert set(imported(file)) <= set(kernels()), file
 
 
 def test_functions_without_a_wrapper_are_called_by_kernels_only():
     """Python code that calls an ``inner`` function takes the interpreter down with it."""
-    inner = {
-        node.name
-        for name, file in modules()
-        if name.startswith("kernels.")
-        for node in ast.walk(ast.parse(file.read_text()))
-        if isinstance(node, ast.FunctionDef)
-        and {"inner", "ordered_inner"} & {ast.unparse(d) for d in node.decorator_list}
-    }
-    assert "mean_velocity" in inner
-    tests = Path(__file__).parent
-    others = [file for name, file in modules() if not name.startswith("kernels")]
-    for file in [*others, *tests.glob("*.py"), *tests.parent.joinpath("benchmarks").glob("*.py")]:
+    inner: dict[Path, set[str]] = {}
+    for file in kernels():
         for node in ast.walk(ast.parse(file.read_text())):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("wakefold.kernels."):
-                assert not inner & {alias.name for alias in node.names}, file.name
-            if isinstance(node, ast.Attribute) and ast.unparse(node.value) in ("kernel", "motion", "random"):
-                assert node.attr not in inner, file.name
+            if isinstance(node, ast.FunctionDef) and {"inner", "ordered_inner"} & {
+                ast.unparse(d) for d in node.decorator_list
+            }:
+                inner.setdefault(file, set()).add(node.name)
+    assert "mean_velocity" in set().union(*inner.values())
+    others = [f for f in files() if f not in kernels()]
+    others += [*TESTS.rglob("*.py"), *TESTS.parent.joinpath("benchmarks").glob("*.py")]
+    for file in others:
+        tree, modules = ast.parse(file.read_text()), {}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("wakefold."):
+                base = SOURCE.joinpath(*(node.module or "").split(".")[1:])
+                for alias in node.names:
+                    assert alias.name not in inner.get(base.with_suffix(".py"), ()), (file, alias.name)
+                    modules[alias.asname or alias.name] = inner.get((base / alias.name).with_suffix(".py"), set())
+        compiled = {"kernel", "njit"}  # a test may compile a kernel of its own
+        functions = [node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)]
+        own = [f for f in functions if {ast.unparse(d) for d in f.decorator_list} & compiled]
+        called = {id(inside) for function in own for inside in ast.walk(function)}
+        for node in ast.walk(tree):
+            if id(node) not in called and isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+                assert node.attr not in modules.get(node.value.id, ()), (file, node.attr)
 
 
 def test_importing_wakefold_imports_nothing_heavy():
@@ -146,12 +185,12 @@ def test_everything_promised_is_there():
 
 
 def test_nothing_is_pickled_or_evaluated():
-    for name, file in modules():
+    for file in files():
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, (ast.Import, ast.ImportFrom)):
                 names = [a.name for a in node.names] + [getattr(node, "module", None) or ""]
-                assert not {"pickle", "marshal", "shelve", "dill", "cloudpickle"} & set(names), name
+                assert not {"pickle", "marshal", "shelve", "dill", "cloudpickle"} & set(names), file
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-                assert node.func.id not in ("eval", "exec"), name
+                assert node.func.id not in ("eval", "exec"), file
             if isinstance(node, ast.keyword) and node.arg == "allow_pickle":
-                assert ast.unparse(node.value) == "False", name
+                assert ast.unparse(node.value) == "False", file

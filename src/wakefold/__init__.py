@@ -3,56 +3,57 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-__version__ = "0.1.0"
+from wakefold.base import __version__ as __version__
 
 if TYPE_CHECKING:
-    from wakefold.belief import Belief
-    from wakefold.confusion import Confusion
-    from wakefold.detections import Detections
-    from wakefold.deviation import Deviation
-    from wakefold.distance import frechet, frechet_matrix
-    from wakefold.evidence import CoarseClass, Fix
+    from wakefold.evidence.coarse import CoarseClass
+    from wakefold.evidence.confusion import Confusion
+    from wakefold.evidence.fix import Fix
+    from wakefold.filters.belief import Belief
     from wakefold.filters.bootstrap import BL1, BL2
     from wakefold.filters.calibrated import Calibrated
     from wakefold.filters.hmm import GaussianHMM
     from wakefold.filters.mhpf import MHPF
-    from wakefold.filters.relational import RelationalFilter
-    from wakefold.filtration import Filtration
     from wakefold.io import read_tracks, write_tracks
-    from wakefold.model import Model, learn, load
-    from wakefold.relations import Activity, ConstantVelocity, PairEvidence, Relation, RelationalModel, Sampler
-    from wakefold.scene import Scene
-    from wakefold.tracks import Tracks
+    from wakefold.model.deviation import Deviation
+    from wakefold.model.filtration import Filtration
+    from wakefold.model.linkage.distance import frechet, frechet_matrix
+    from wakefold.model.model import Model, learn, load
+    from wakefold.relations.detections import Detections
+    from wakefold.relations.filter import RelationalFilter
+    from wakefold.relations.model import Activity, ConstantVelocity, PairEvidence, Relation, RelationalModel, Sampler
+    from wakefold.relations.scene import Scene
+    from wakefold.tracks.tracks import Tracks
 
 _WHERE = {  # looked up on first use: importing the package costs no numba, pyarrow or matplotlib
-    "Activity": "relations",
+    "Activity": "relations.model",
     "BL1": "filters.bootstrap",
     "BL2": "filters.bootstrap",
-    "Belief": "belief",
+    "Belief": "filters.belief",
     "Calibrated": "filters.calibrated",
-    "CoarseClass": "evidence",
-    "Confusion": "confusion",
-    "ConstantVelocity": "relations",
-    "Detections": "detections",
-    "Deviation": "deviation",
-    "Filtration": "filtration",
-    "Fix": "evidence",
+    "CoarseClass": "evidence.coarse",
+    "Confusion": "evidence.confusion",
+    "ConstantVelocity": "relations.model",
+    "Detections": "relations.detections",
+    "Deviation": "model.deviation",
+    "Filtration": "model.filtration",
+    "Fix": "evidence.fix",
     "GaussianHMM": "filters.hmm",
     "MHPF": "filters.mhpf",
-    "Model": "model",
-    "PairEvidence": "relations",
-    "Relation": "relations",
-    "RelationalFilter": "filters.relational",
-    "RelationalModel": "relations",
-    "Sampler": "relations",
-    "Scene": "scene",
-    "Tracks": "tracks",
-    "frechet": "distance",
-    "frechet_matrix": "distance",
-    "learn": "model",
-    "load": "model",
-    "read_tracks": "io",
-    "write_tracks": "io",
+    "Model": "model.model",
+    "PairEvidence": "relations.model",
+    "Relation": "relations.model",
+    "RelationalFilter": "relations.filter",
+    "RelationalModel": "relations.model",
+    "Sampler": "relations.model",
+    "Scene": "relations.scene",
+    "Tracks": "tracks.tracks",
+    "frechet": "model.linkage.distance",
+    "frechet_matrix": "model.linkage.distance",
+    "learn": "model.model",
+    "load": "model.model",
+    "read_tracks": "io.read",
+    "write_tracks": "io.write",
 }
 __all__ = [  # noqa: RUF022 (by subject)
     "read_tracks",

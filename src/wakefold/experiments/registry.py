@@ -17,20 +17,20 @@ from typing import Any, NamedTuple, Protocol, cast
 
 # Name on the command line -> module, in the order of the page.
 FIGURES: dict[str, str] = {
-    "fig1": "fig1",
-    "fig2": "fig2",
-    "fig3": "fig3",
-    "fig5": "fig5",
-    "mse": "mse",
-    "fig6": "fig6",
-    "fig7a": "fig7a",
-    "fig7b": "fig7b",
-    "fig8": "fig8",
-    "fig9": "fig9",
-    "ablation": "ablation",
-    "walking": "walking",
-    "rendezvous": "rendezvous",
-    "blindspot": "blindspot",
+    "fig1": "mhpf.fig1",
+    "fig2": "mhpf.fig2",
+    "fig3": "mhpf.fig3",
+    "fig5": "mhpf.fig5",
+    "mse": "mhpf.mse",
+    "fig6": "mhpf.fig6",
+    "fig7a": "mhpf.fig7a",
+    "fig7b": "mhpf.fig7b",
+    "fig8": "mhpf.fig8",
+    "fig9": "mhpf.fig9",
+    "ablation": "mhpf.ablation",
+    "walking": "walking.experiment",
+    "rendezvous": "rendezvous.experiment",
+    "blindspot": "blindspot.experiment",
 }
 
 

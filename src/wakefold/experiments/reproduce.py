@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from wakefold.base.parallel import Executor
 from wakefold.experiments.page import page
 from wakefold.experiments.registry import FIGURES, Section, Size, experiment
 from wakefold.experiments.runner import run_all, seconds
-from wakefold.parallel import Executor
 
 
 def reproduce(

@@ -13,8 +13,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from wakefold.base.parallel import Executor
 from wakefold.experiments.registry import Job
-from wakefold.parallel import Executor
 
 SOURCE = Path(__file__).parents[1]
 

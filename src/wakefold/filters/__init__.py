@@ -1,1 +1,1 @@
-"""Filters: one file each, none imports another."""
+"""Filters: one file each; none imports another."""

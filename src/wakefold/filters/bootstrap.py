@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from wakefold.belief import Belief
-from wakefold.evidence import Evidence, Fix, in_order
-from wakefold.kernels import particles as kernel
-from wakefold.model import Model
-from wakefold.particles import NOISE, ParticleFilter, elapsed
-from wakefold.units import Time
+from wakefold.base.units import Time
+from wakefold.evidence.evidence import Evidence, in_order
+from wakefold.evidence.fix import Fix
+from wakefold.filters.belief import Belief
+from wakefold.filters.kernels import particles as kernel
+from wakefold.filters.particles import NOISE, ParticleFilter, elapsed
+from wakefold.model.model import Model
 
 
 class BL1(ParticleFilter):

@@ -10,27 +10,30 @@ from typing import Literal, NamedTuple, overload
 
 import numpy as np
 
-from wakefold.belief import Belief, Gaussians
-from wakefold.confusion import Confusion, Reliability
-from wakefold.deviation import Deviation
-from wakefold.evidence import CoarseClass, Evidence, Fix, alive_classes, coarse_log_g, in_order
-from wakefold.kernels import components, random
-from wakefold.kernels import particles as kernel
-from wakefold.model import Model
-from wakefold.particles import (
+from wakefold.base import random
+from wakefold.base.random import agent_key
+from wakefold.base.units import Time, timestamp
+from wakefold.evidence.coarse import CoarseClass, alive_classes, coarse_log_g
+from wakefold.evidence.confusion import Confusion, Reliability
+from wakefold.evidence.evidence import Evidence, in_order
+from wakefold.evidence.fix import Fix
+from wakefold.filters.belief import Belief, Gaussians
+from wakefold.filters.kernels import particles as kernel
+from wakefold.filters.particles import (
     LOST,
     RECOVER,
     START,
     Floats,
     Ints,
     ParticleFilter,
-    agent_key,
-    along,
     check_tree,
     elapsed,
     pick_strata,
 )
-from wakefold.units import Time, timestamp
+from wakefold.model.deviation import Deviation
+from wakefold.model.kernels import components
+from wakefold.model.model import Model
+from wakefold.tracks.shaping import along
 
 KINDS = 3  # spreads that each track is given components of
 

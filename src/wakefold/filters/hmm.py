@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.cluster.vq import kmeans2
 
-from wakefold.kernels import hmm as kernel
+from wakefold.filters.kernels import hmm as kernel
 
 Floats = NDArray[np.float64]
 

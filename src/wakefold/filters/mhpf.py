@@ -9,13 +9,15 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from wakefold.belief import Belief, Stack
-from wakefold.evidence import CoarseClass, Evidence, Fix, in_order
-from wakefold.kernels import motion
-from wakefold.kernels import particles as kernel
-from wakefold.model import Model
-from wakefold.particles import COPIES, NOISE, NONE, Floats, Ints, ParticleFilter, elapsed
-from wakefold.units import Time
+from wakefold.base.units import Time
+from wakefold.evidence.coarse import CoarseClass
+from wakefold.evidence.evidence import Evidence, in_order
+from wakefold.evidence.fix import Fix
+from wakefold.filters.belief import Belief, Stack
+from wakefold.filters.kernels import particles as kernel
+from wakefold.filters.particles import COPIES, NOISE, NONE, Floats, Ints, ParticleFilter, elapsed
+from wakefold.model.kernels import motion
+from wakefold.model.model import Model
 
 Rule = Literal["arxiv2016", "gsi2017"]
 

@@ -15,7 +15,7 @@ from wakefold.io import times
 from wakefold.io.records import Floats, Latest, Rows, Static, as_text, last_rows
 from wakefold.io.report import ReadError, Report, Tally
 from wakefold.io.rules import Mask, grouping, jumps, project, repeated, sort_times, starts, taken
-from wakefold.tracks import Tracks
+from wakefold.tracks.tracks import Tracks
 
 MAX_GEODETIC_SPEED = 60.0
 """Metres per second (117 knots): faster than any ship, slower than most wrong positions imply."""

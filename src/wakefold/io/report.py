@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any, NamedTuple
 
-from wakefold.wording import counted
+from wakefold.base.wording import counted
 
 SHOWN = 5
 """Offending lines kept for each reason."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from wakefold.projection import Projection
+from wakefold.tracks.projection import Projection
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]

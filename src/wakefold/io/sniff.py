@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from wakefold.io import delimited
+from wakefold.io.formats import delimited
+from wakefold.io.formats.ais import DMA, MARINECADASTRE
+from wakefold.io.formats.delimited import plain
 from wakefold.io.records import as_text
 from wakefold.io.report import ReadError, listed
 from wakefold.io.source import Source
@@ -24,17 +26,6 @@ FORMATS = {
     "edinburgh": "Edinburgh forum tracks",
 }
 """Names of the formats, and what they are called."""
-
-MARINECADASTRE = (
-    {"mmsi", "basedatetime", "lat", "lon"},
-    {"mmsi", "basedatetime", "latitude", "longitude"},
-)
-DMA = {"timestamp", "mmsi", "latitude", "longitude"}
-
-
-def plain(name: str) -> str:
-    """A column name without case, spaces, underscores and the like."""
-    return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
 def sniff(source: Source, columns: Mapping[str, str | int] | None) -> str:
@@ -71,7 +62,7 @@ def sniff(source: Source, columns: Mapping[str, str | int] | None) -> str:
             return "marinecadastre"
         if names >= DMA and "typeofmobile" in names:
             return "dma"
-        from wakefold.io.tables import is_table
+        from wakefold.io.formats.tables import is_table
 
         if not is_table(delimited.layout(head).names):
             line = as_text(text.split(b"\n")[0])

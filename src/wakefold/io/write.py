@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 
 from wakefold.io.collect import identity
-from wakefold.tracks import Tracks
+from wakefold.tracks.tracks import Tracks
 
 FORMATS = {".csv": "csv", ".parquet": "parquet", ".geojson": "geojson", ".json": "geojson"}
 
@@ -87,3 +88,22 @@ def _write_geojson(tracks: Tracks, path: Path) -> None:
             feature = {"type": "Feature", "properties": properties, "geometry": geometry}
             file.write((",\n" if i else "\n") + json.dumps(feature, allow_nan=False, ensure_ascii=False))
         file.write("\n]}\n")
+
+
+def write_tracks(tracks: Tracks, path: str | PathLike[str], format: str | None = None) -> None:
+    """Write tracks to a file that ``read_tracks`` reads back.
+
+    CSV and Parquet have a row for each point: ``track``, ``time`` (seconds), ``lon`` and ``lat`` (or ``x``, ``y`` and
+    ``z``), the per-point columns and the attributes of the track. GeoJSON has a LineString for each track (a Point
+    for a track of one point) with its times (seconds) and attributes as properties; per-point columns are left out.
+
+    Args:
+        path: where to.
+        format: "csv", "parquet" or "geojson"; by the ending of the name without it.
+
+    Raises:
+        ValueError: no such format; planar tracks as GeoJSON, which knows longitude and latitude only; 1-D tracks; an
+            id that would be read back as another (blanks around it, "7.0"), or in CSV a text with a line end.
+    """
+
+    write(tracks, Path(path), format)

@@ -1,0 +1,5 @@
+"""The command line: one file a command; parse, call, print."""
+
+from wakefold.cli.app import app, main
+
+__all__ = ["app", "main"]

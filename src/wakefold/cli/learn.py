@@ -1,0 +1,185 @@
+"""``wakefold learn``: past tracks to a model."""
+
+from __future__ import annotations
+
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from wakefold.base.files import naming
+from wakefold.base.wording import counted, number_text
+from wakefold.cli import options
+from wakefold.cli.console import fail, guarded, progress, say
+from wakefold.cli.options import Columns, Json, TimeFormat, arg, opt
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from wakefold.tracks.tracks import Tracks
+
+
+MOST_POINTS = 20_000_000  # of a model: far more than can be compared
+
+
+class LinkageName(StrEnum):
+    single = "single"
+    complete = "complete"
+
+
+@guarded
+def learn(
+    tracks: Annotated[list[Path], arg("Files of tracks; their format is recognised.")],
+    output: Annotated[Path, opt("Directory to keep the model in.", "-o", "--output")],
+    spacing: Annotated[
+        str,
+        typer.Option(
+            help="Distance between the points of a track, such as 200m. auto: a fiftieth of the median track; "
+            "for geodetic data of those that get farther than 1 km, and 20 m to 200 m."
+        ),
+    ] = "auto",
+    max_gap: Annotated[str, typer.Option(help="Cut a track where its agent is silent for longer.")] = "30min",
+    max_speed: Annotated[
+        float | None,
+        opt("Cut a track where getting to the next point takes more, metres per second."),
+    ] = None,
+    stop: Annotated[
+        str | None,
+        opt("Cut a track where its agent stands: RADIUS,TIME such as 150m,10min."),
+    ] = None,
+    min_length: Annotated[str, typer.Option(help="Leave out tracks that are shorter, such as 1km.")] = "0",
+    linkage: Annotated[LinkageName, typer.Option(help="How classes join.")] = LinkageName.single,
+    epsilon: Annotated[
+        str | None,
+        opt("Radius of the velocity field, such as 500m; learned without."),
+    ] = None,
+    columns: Columns = "",
+    time_format: TimeFormat = None,
+    threads: Annotated[int | None, typer.Option(help="Of the distances; all cores without.", min=1)] = None,
+    checkpoint: Annotated[
+        Path | None,
+        opt("Directory from which an interrupted comparison of the tracks goes on."),
+    ] = None,
+    json_: Json = False,
+) -> None:
+    """Learn a model from past tracks.
+
+    \b
+    Examples:
+      $ wakefold learn harbour.csv -o harbour.model
+      $ wakefold learn monday.csv tuesday.csv --stop 150m,10min --min-length 1km -o week.model
+      $ wakefold learn people.csv --columns agent=who,time=t,x=px,y=py -o forum.model
+    """
+    import wakefold as wf
+    from wakefold.cli.facts import level_table, model_facts
+
+    options.input_files(tracks)
+    options.model_directory(output)
+    step = None if spacing == "auto" else options.length("--spacing", spacing)
+    cuts = {"max_gap": options.duration("--max-gap", max_gap), "max_speed": max_speed, **options.stop(stop)}
+    if max_speed is not None and not max_speed > 0:
+        options.wrong("--max-speed", "must be above 0")
+    shortest = options.length("--min-length", min_length, zero=True)
+    radius = None if epsilon is None else options.length("--epsilon", epsilon)
+    names = options.columns(columns)
+    with progress("reading") as update:
+        read, report = wf.read_tracks(tracks, columns=names, time_format=time_format, progress=update)
+    show = say if json_ else print
+    show(str(report))
+    pieces = read.segment(**cuts).filter(min_length=shortest)
+    if not len(pieces):
+        fail("no track is left to learn from: " + "; ".join(pieces.notes))
+    for remark in filter(None, [at_rest(pieces), impossible(pieces)]):
+        show(f"  note: {remark}")
+    step = step or auto_spacing(pieces) or fail("no track moves: give --spacing")
+    if (points := points_after(pieces, step)) > MOST_POINTS:
+        every = f"a point every {number_text(step, 4)} m"
+        fail(f"{every} makes {points:,} points, over {MOST_POINTS:,}: give a larger --spacing")
+    pieces = pieces.resample(spacing=step)
+    for note in pieces.notes:
+        show(f"  {note}")
+    if linkage is LinkageName.complete and len(pieces) > 5000:
+        say(f"{len(pieces):,} tracks: their distances take {len(pieces) ** 2 * 8 / 2**30:.1f} GiB of memory and more")
+    with progress("comparing tracks") as update:
+        model = wf.learn(
+            pieces,
+            linkage=linkage.value,
+            epsilon=radius,
+            threads=threads,
+            progress=update,
+            checkpoint=checkpoint,
+        )
+    with naming(output):
+        model.save(output)
+    tree = model.filtration
+    if json_:
+        print(json.dumps({"model": str(output), "report": report.to_dict(), **model_facts(model), "spacing": step}))
+        return
+    print(f"{pieces!r}, a point every {number_text(step, 4)} m")
+    print(repr(model))
+    print(level_table(tree))
+    print(f"kept in {output}")
+
+
+MOVING = 1000.0  # metres; a geodetic track that gets no farther is a ship at anchor or at its berth
+FINEST, COARSEST = 20.0, 200.0  # metres; the noise of positions, and turns in a channel that must not be cut
+RESTING = 100.0  # metres; a moored ship swings that far, and its positions scatter
+
+
+# Spacing
+
+
+def auto_spacing(tracks: Tracks) -> float | None:
+    """A fiftieth of the median track that moves, metres; for geodetic data within ``FINEST`` and ``COARSEST``.
+
+    Positions of ships at rest scatter by some metres. They say nothing of how long a voyage is, so that geodetic tracks
+    count that get farther than ``MOVING``, if there are any. None if no track moves at all.
+    """
+    import numpy as np
+
+    moving = tracks.length > 0
+    if tracks.projection is not None:
+        far = _extent(tracks) > MOVING
+        moving = far if far.any() else moving
+    if not moving.any():
+        return None
+    spacing = float(np.median(tracks.length[moving])) / 50
+    return spacing if tracks.projection is None else min(max(spacing, FINEST), COARSEST)
+
+
+def points_after(tracks: Tracks, spacing: float) -> int:
+    """How many points ``Tracks.resample`` makes at most."""
+    import numpy as np
+
+    return int(np.ceil(tracks.length / spacing).sum()) + 2 * len(tracks)
+
+
+def at_rest(tracks: Tracks) -> str | None:
+    """A remark if most tracks are those of ships that lie still, which say nothing of voyages; None if not."""
+    resting = int((_extent(tracks) <= RESTING).sum())
+    if tracks.projection is None or 2 * resting <= len(tracks):
+        return None
+    return f"{resting:,} of {counted(len(tracks), 'track')} stay within {RESTING:.0f} m; see --stop, --min-length"
+
+
+def impossible(tracks: Tracks) -> str | None:
+    """A remark if some legs, few of all, are faster than ships: two agents share a name. None if not."""
+    from wakefold.io.collect import MAX_GEODETIC_SPEED
+    from wakefold.tracks.shaping import fast_legs
+
+    fast = int(fast_legs(tracks, MAX_GEODETIC_SPEED).sum())
+    if tracks.projection is None or fast == 0 or 10 * fast > len(tracks.points):
+        return None
+    limit = f"more than {MAX_GEODETIC_SPEED:.0f} m/s"
+    return f"{counted(fast, 'leg')} from point to point would take {limit}; see --max-speed"
+
+
+def _extent(tracks: Tracks) -> np.ndarray:
+    """``(n,)`` metres across the box around each track, from corner to corner."""
+    import numpy as np
+
+    begins = tracks.offsets[:-1]
+    size = np.maximum.reduceat(tracks.points, begins) - np.minimum.reduceat(tracks.points, begins)
+    return np.linalg.norm(size, axis=1)

@@ -1,0 +1,131 @@
+"""``wakefold track``: follow agents."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from wakefold.cli import console, options
+from wakefold.cli.console import guarded, progress, say
+from wakefold.cli.options import Columns, TimeFormat, arg, opt
+
+
+class FilterName(StrEnum):
+    mhpf = "mhpf"
+    bl1 = "bl1"
+    bl1_coarse = "bl1+coarse"
+    bl2 = "bl2"
+
+
+class RuleName(StrEnum):
+    arxiv2016 = "arxiv2016"
+    gsi2017 = "gsi2017"
+
+
+class LikelihoodName(StrEnum):
+    gaussian = "gaussian"
+    student = "student"
+    log = "log"
+
+
+class FormName(StrEnum):
+    csv = "csv"
+    jsonl = "jsonl"
+
+
+@guarded
+def track(
+    model: Annotated[Path, arg("Directory that `wakefold learn` made.")],
+    observations: Annotated[str, arg("CSV, JSON lines or any file of tracks; - is standard input.")],
+    output: Annotated[str, typer.Option("-o", "--output", help="File for the answers; - is standard output.")] = "-",
+    levels: Annotated[
+        str | None,
+        typer.Option(
+            help="Levels to answer at: heights such as 500,2000 or 500m, or how many (3 without), picked by entropy.",
+            show_default=False,
+        ),
+    ] = None,
+    filter: Annotated[FilterName, typer.Option(help="Who follows.")] = FilterName.mhpf,
+    rule: Annotated[RuleName | None, opt("Update rule of mhpf; arxiv2016 without.")] = None,
+    likelihood: Annotated[LikelihoodName, typer.Option(help="Weight of a fix.")] = LikelihoodName.gaussian,
+    sd: Annotated[
+        str | None,
+        opt("Accuracy of fixes that tell none, such as 20m; the model's without."),
+    ] = None,
+    particles: Annotated[int, typer.Option(help="Particles of each agent.", min=1, max=1_000_000)] = 200,
+    depletion: Annotated[
+        float, typer.Option(help="Share of the particles whose class is drawn anew, from all tracks, in every step.")
+    ] = 0.001,
+    seed: Annotated[int, typer.Option(help="Of all random numbers.", min=0)] = 0,
+    forecast: Annotated[str, opt("Forecasts to add to every answer, such as 5min,15min.")] = "",
+    format: Annotated[
+        FormName | None,
+        opt("Of the answers; by the name of --output (.csv, .jsonl, .ndjson), or that of the observations without."),
+    ] = None,
+    columns: Columns = "",
+    time_format: TimeFormat = None,
+    agent: Annotated[list[str] | None, opt("Follow this agent only; may be repeated.")] = None,
+    max_agents: Annotated[
+        int, typer.Option(help="Live agents at most; the one silent for longest is dropped.", min=1)
+    ] = 10_000,
+    max_gap: Annotated[str, typer.Option(help="An agent starts anew after a longer silence.")] = "6h",
+    picture: Annotated[Path | None, opt("Picture (png, svg, pdf) of the first agent's beliefs.")] = None,
+) -> None:
+    """Follow agents: an answer for each observation, line by line.
+
+    \b
+    Examples:
+      $ wakefold track harbour.model fixes.csv
+      $ wakefold track harbour.model fixes.csv --levels 500,2000 --forecast 5min,15min -o beliefs.jsonl
+      $ cat fixes.csv | wakefold track harbour.model - --format jsonl
+      $ wakefold track harbour.model fixes.csv --agent ferry --picture ferry.png -o ferry.csv
+    """
+    import wakefold as wf
+    from wakefold.service import album, fleet, follow
+
+    if rule is not None and filter is not FilterName.mhpf:
+        options.wrong("--rule", "only --filter mhpf has update rules")
+    if levels is not None and filter is FilterName.bl2:
+        options.wrong("--levels", "--filter bl2 tells no classes apart")
+    if not 0 <= depletion <= 1:
+        options.wrong("--depletion", f"{depletion:g} is not a share from 0 to 1")
+    asked = [] if filter is FilterName.bl2 else options.levels(levels or "3")
+    settings: dict[str, Any] = {"likelihood": likelihood.value, "depletion": depletion, "seed": seed}
+    settings |= {} if sd is None else {"sd": options.length("--sd", sd)}
+    silence = options.duration("--max-gap", max_gap)
+    horizons = options.horizons(forecast)
+    names = options.feed_columns(columns)
+    if picture is not None:
+        options.output_file("--picture", picture, picture=True)
+    if output != "-":
+        path = options.output_file("--output", Path(output))
+        if path.exists() and Path(observations).exists() and path.samefile(observations):
+            options.wrong("--output", f"{output} holds the observations")
+    known = wf.load(model)
+    if horizons and horizons[-1] > (most := fleet.longest_step(known)):
+        options.wrong("--forecast", f"{horizons[-1]:g} s is too far ahead for this model, {most:g} s at most")
+    heights = options.heights(asked, known.filtration)
+    match filter:
+        case FilterName.mhpf:
+            settings |= {} if rule is None else {"rule": rule.value}
+            follower = wf.MHPF(known, particles, levels=heights, **settings)
+        case FilterName.bl2:
+            follower = wf.BL2(known, particles, **settings)
+        case _:
+            follower = wf.BL1(known, particles, coarse=filter is FilterName.bl1_coarse, **settings)
+    crowd = fleet.Crowd(follower, heights, horizons, max_agents, silence, say)
+    pages = album.Album(heights) if picture is not None else None
+    form = options.form_of_name(output) if format is None else format.value
+    with progress("following", shown=output != "-") as update:
+        try:
+            refused = follow.run(
+                crowd, observations, output, form, names, time_format, frozenset(agent or ()), pages, update, say
+            )
+        finally:
+            if pages is not None and pages.agent is not None and picture is not None:
+                album.draw(pages, known, picture)
+    if refused:
+        raise typer.Exit(console.FAILED)

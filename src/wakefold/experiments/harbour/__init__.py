@@ -1,0 +1,1 @@
+"""The demo: a week of New York Harbor."""

@@ -1,0 +1,1 @@
+"""Which activity do two boats take part in?"""

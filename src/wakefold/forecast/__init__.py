@@ -1,0 +1,1 @@
+"""Questions about held-out tracks, scores, and plain rivals."""

@@ -1,1 +1,0 @@
-"""Compiled inner loops (numba): arrays in, arrays out; no I/O, no objects, no threads of their own."""

@@ -1,0 +1,1 @@
+"""Compiled loops over the training points (numba): arrays in, arrays out."""

@@ -1,0 +1,1 @@
+"""From tracks to their tree: Fréchet distances, spanning tree, dendrogram."""

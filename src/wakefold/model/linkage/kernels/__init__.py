@@ -1,0 +1,1 @@
+"""Compiled loops of the linkage (numba): arrays in, arrays out."""

@@ -1,0 +1,120 @@
+"""What is learned from historical tracks: the tracks, their filtration and the dynamics of its classes."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from numpy.typing import NDArray
+
+from wakefold.base import store
+from wakefold.base.wording import number_text
+from wakefold.model.dynamics import Dynamics, Noise
+from wakefold.model.filtration import Filtration, Linkage
+from wakefold.tracks.tracks import Tracks
+
+KIND = "model"
+SETTINGS = ("epsilon", "noise", "scale")  # of the dynamics; all else follows from the tracks
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Model:
+    """A learned model.
+
+    Attributes:
+        tracks: the training tracks.
+        filtration: the tree of their classes.
+        dynamics: the velocity field of every class.
+        sd: standard deviation of a fix that does not tell its own, metres per axis.
+    """
+
+    tracks: Tracks
+    filtration: Filtration
+    dynamics: Dynamics
+    sd: float
+
+    def __post_init__(self) -> None:
+        if len(self.tracks) != len(self.filtration):
+            raise ValueError(f"{len(self.tracks)} tracks but a filtration of {len(self.filtration)}")
+        if not 0.0 < self.sd < math.inf:
+            raise ValueError(f"sd must be a positive number of metres, got {self.sd}")
+
+    def __repr__(self) -> str:
+        d = self.dynamics
+        return (
+            f"Model({len(self.tracks):,} tracks, {len(self.filtration.birth) - len(self.tracks):,} merged classes, "
+            f"epsilon {number_text(d.epsilon)}, {d.noise} noise {number_text(d.scale)}, sd {number_text(self.sd)})"
+        )
+
+    def _repr_html_(self) -> str:
+        from html import escape
+
+        return f"<p>{escape(repr(self))}</p>{self.tracks._repr_html_()}{self.filtration._repr_html_()}"
+
+    def save(self, directory: str | os.PathLike[str]) -> None:
+        """Store as one directory of arrays and a manifest (see ``wakefold.base.store``); no pickle."""
+        arrays, meta = {}, {}
+        for name, part in (("tracks", self.tracks), ("filtration", self.filtration)):
+            packed, meta[name] = part.packed()
+            arrays |= {f"{name}_{key}": array for key, array in packed.items()}
+        meta |= {"sd": self.sd, "dynamics": {name: getattr(self.dynamics, name) for name in SETTINGS}}
+        store.save(directory, arrays, meta, KIND)
+
+
+def load(directory: str | os.PathLike[str]) -> Model:
+    """Read a model that ``Model.save`` wrote; its arrays are memory maps.
+
+    Raises:
+        StoreError: missing, of another kind or version, truncated or edited.
+    """
+    arrays, meta = store.load(directory, KIND)
+
+    def part(name: str) -> dict[str, NDArray[Any]]:
+        return {key.removeprefix(f"{name}_"): array for key, array in arrays.items() if key.startswith(f"{name}_")}
+
+    try:
+        tracks = Tracks.unpacked(part("tracks"), meta["tracks"])
+        filtration = Filtration.unpacked(part("filtration"), meta["filtration"])
+        settings = {name: meta["dynamics"][name] for name in SETTINGS}
+        dynamics = Dynamics.learn(tracks, filtration, settings["epsilon"], settings["noise"], settings["scale"])
+        return Model(tracks, filtration, dynamics, meta["sd"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise store.StoreError(f"{directory} is not a sound model: {error}") from None
+
+
+def learn(
+    tracks: Tracks,
+    *,
+    linkage: Linkage = "single",
+    epsilon: float | None = None,
+    noise: Noise = "gaussian",
+    scale: float | None = None,
+    sd: float | None = None,
+    threads: int | None = None,
+    progress: Callable[[float], None] | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
+) -> Model:
+    """Learn movement classes and their dynamics from historical tracks.
+
+    Args:
+        tracks: at least one; evenly spaced points (``Tracks.resample``) serve the Fréchet distance best.
+        linkage: "single" (the papers', canonical) or "complete".
+        epsilon: radius of the dynamics' ball, metres; see ``Dynamics.learn`` for the default.
+        noise, scale: motion noise; see ``Dynamics``. The default scale is learned from the tracks.
+        sd: of a fix that does not tell its own, metres; half the median spacing of track points by default.
+        threads: of the distance kernel, all cores by default.
+        progress: called with the share of the work done, 0 to 1.
+        checkpoint: directory from which an interrupted comparison of the tracks goes on, see ``Filtration.fit``.
+
+    Raises:
+        ValueError: no tracks, a setting out of range, or a checkpoint that cannot serve.
+    """
+    filtration = Filtration.fit(tracks, linkage=linkage, threads=threads, progress=progress, checkpoint=checkpoint)
+    dynamics = Dynamics.learn(tracks, filtration, epsilon=epsilon, noise=noise, scale=scale)
+    if sd is None:
+        spacing = tracks.median_spacing
+        sd = 0.5 * (spacing if spacing > 0 else dynamics.epsilon)  # NaN when every track is a single point
+    return Model(tracks, filtration, dynamics, float(sd))

@@ -1,0 +1,1 @@
+"""How a scene of related objects is inferred."""

@@ -1,0 +1,183 @@
+"""Which objects there are and which pairs are looked at: what the engines of the relational filter share."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from wakefold.relations.activities import begin
+from wakefold.relations.engines.objects import Objects, Settings
+from wakefold.relations.kernels import histories, turnover
+from wakefold.relations.kernels import pairs as kernel
+from wakefold.relations.kernels.predicates import truth
+from wakefold.relations.model import ConstantVelocity, Relation, RelationalModel
+from wakefold.relations.motion import row
+from wakefold.relations.predicates import Predicate
+from wakefold.relations.scene import Pairs
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+HYSTERESIS = 1.25  # a pair is let go at this many gates
+
+
+def motions(model: RelationalModel, kinds: Ints, dt: float) -> Floats:
+    """``(n, 7)`` motion of each object on its own."""
+    q = diffusions(model)
+    return np.array([row(0.0, 0.0, x * x, dt) for x in q])[kinds]
+
+
+def diffusions(model: RelationalModel) -> list[float]:
+    """q of each kind; 0 where the motion is a sampler."""
+    return [m.q if isinstance(m, ConstantVelocity) else 0.0 for m in model.objects.values()]
+
+
+def relative_motions(model: RelationalModel, relation: Relation, dt: float) -> Floats:
+    """``(2, 7)`` motion of the difference of two objects, unrelated and related."""
+    q = [model.objects[kind] for kind in relation.pair]
+    apart = sum(m.q**2 for m in q if isinstance(m, ConstantVelocity))
+    alone = row(0.0, 0.0, apart, dt)
+    how = relation.couples
+    return np.array([alone, alone if how is None else row(how.k, how.pull, how.noise**2, dt)])
+
+
+def switches(relation: Relation, dt: float) -> Floats:
+    """``(3, 2)`` chances of switching on and off within ``dt`` where the predicate holds, where not, where unknown.
+
+    Where the truth of the predicate is itself uncertain the expected chance is between the first two.
+    """
+    assert relation.rate_break is not None
+    assert relation.rate_hidden is not None
+    return _switches(relation.rate_on, relation.rate_off, relation.rate_break, relation.rate_hidden, dt).copy()
+
+
+@lru_cache(maxsize=4096)
+def _switches(on: float, off: float, broken: float, hidden: float, dt: float) -> Floats:
+    rates = np.array([[on, off], [0.0, off + broken], [0.0, hidden]])
+    total = rates.sum(axis=1, keepdims=True)
+    change = np.where(total > 0.0, -np.expm1(-total * dt), 0.0)
+    return np.divide(rates * change, total, out=np.zeros((3, 2)), where=total > 0.0)
+
+
+def program(relation: Relation) -> tuple[Ints, Floats]:
+    """The predicate of a relation as kernels read it; empty where it always holds."""
+    return _program(relation.on_when)
+
+
+@lru_cache(maxsize=256)
+def _program(predicate: Predicate | None) -> tuple[Ints, Floats]:
+    if predicate is None:
+        return np.zeros(0, dtype=np.int64), np.zeros((0, 2))
+    return predicate.arrays()
+
+
+def candidates(positions: Floats, gate: float) -> Ints:
+    """``(P, 2)`` pairs of objects within the gate, the first the smaller place."""
+    if len(positions) < 2:
+        return np.zeros((0, 2), dtype=np.int64)
+    x, y = positions.T
+    wide = max(gate * (1.0 + 1e-9), float(np.abs(y).max()) * 1e-15)  # so that strips are counted exactly
+    strip = np.floor(y / wide)
+    order = np.lexsort((x, strip))
+    return turnover.within(positions[order], strip[order], order, gate)
+
+
+def of_relation(near: Ints, relation: Relation, model: RelationalModel, kinds: Ints) -> Ints:
+    """The pairs a relation is about as first * n + second, rising."""
+    ordered = near if relation.symmetric else np.concatenate([near, near[:, ::-1]])
+    if len(model.objects) > 1:
+        a, b = (model.kinds.index(kind) for kind in relation.pair)
+        ordered = ordered[(kinds[ordered[:, 0]] == a) & (kinds[ordered[:, 1]] == b)]
+    return np.sort(ordered[:, 0] * len(kinds) + ordered[:, 1])
+
+
+def refresh(
+    pairs: Pairs, relation: Relation, s: Settings, objects: Objects, place: Ints, near: Ints, particles: int = 0
+) -> tuple[Pairs, NDArray[np.bool_]]:
+    """Pairs let go and taken up; the new ones have their prior.
+
+    Args:
+        place: ``(n_before,)`` new place of each object, -1 for one let go.
+        near: ``(P, 2)`` pairs within the gate now.
+
+    Returns:
+        The pairs in order, and which of them are new.
+    """
+    wanted = of_relation(near, relation, s.model, objects.kinds)
+    reach = HYSTERESIS * s.gate
+    first, second, source = turnover.merge(
+        pairs.first, pairs.second, place, objects.mean, objects.unseen > 0, reach, wanted
+    )
+    is_new = source < 0
+    if not is_new.any() and len(source) == len(pairs.p):
+        return pairs._replace(first=first, second=second), is_new
+    new = begun(first[is_new], second[is_new], relation, s, objects, particles)
+
+    def merge(old: Floats, added: Floats) -> Floats:
+        out = np.empty((len(source), math.prod(old.shape[1:])))
+        turnover.gather(old.reshape(-1, out.shape[1]), added.reshape(-1, out.shape[1]), source, out)
+        return out.reshape(-1, *old.shape[1:])
+
+    bits = np.empty((len(pairs.bits), len(source)), dtype=bool)
+    bits[:, ~is_new], bits[:, is_new] = pairs.bits[:, source[~is_new]], new.bits
+    counts, states = (
+        np.empty((len(source), 2), dtype=np.int64),
+        np.empty((len(pairs.states) + len(new.states), histories.WIDTH)),
+    )
+    many = histories.gather(pairs.states, pairs.counts, new.states, new.counts, source, states, counts)
+    stages = tuple(merge(x, y) for x, y in zip(pairs.stages, new.stages, strict=True))
+    columns = merge(pairs.p, new.p), merge(pairs.looked, new.looked)
+    return Pairs(first, second, *columns, counts, states[:many], bits, stages), is_new
+
+
+def begun(first: Ints, second: Ints, relation: Relation, s: Settings, objects: Objects, particles: int) -> Pairs:
+    """New pairs: related with the probability ``prior``, if the predicate holds of them.
+
+    The velocities of two that start related differ as those of long related ones do.
+    """
+    count, d = len(first), objects.mean.shape[2]
+    mean, cov = np.zeros((count, 2, d)), np.zeros((count, 3))
+    kernel.difference(first, second, objects.mean, objects.cov, mean, cov)
+    p = np.full(count, relation.prior)
+    if relation.prior > 0.0:
+        p *= holds(relation, first, second, mean, cov, objects)
+    p = np.clip(p, kernel.FLOOR, 1.0 - kernel.FLOOR)
+    about = s.model.activities_of(relation)
+    stages = tuple(begin(p) for _ in about)
+    bits = np.zeros((particles, count), dtype=bool)
+    if s.engine != "collapsed":
+        none = np.zeros((count, 2), dtype=np.int64), np.zeros((0, histories.WIDTH))
+        return Pairs(first, second, p, np.zeros(count), *none, bits, stages)
+    states = np.empty((count, 2, histories.WIDTH))
+    states[:, :, :4], states[:, :, 4:7] = mean.reshape(count, 1, 4), cov[:, None]
+    states[:, 0, 7], states[:, 1, 7] = 1.0 - p, p
+    how = relation.couples
+    if how is not None and how.k > 0.0:  # the law of the difference in the long run, as if measured: 0 m/s with this sd
+        total = cov[:, 2] + how.noise**2 / (2.0 * how.k)
+        pull = cov[:, 1:3] / total[:, None]  # of position and velocity
+        states[:, 1, :4] -= (pull[:, :, None] * mean[:, 1:2]).reshape(count, 4)
+        states[:, 1, 4:7] -= np.column_stack([pull[:, 0] * cov[:, 1], pull[:, 0] * cov[:, 2], pull[:, 1] * cov[:, 2]])
+    return Pairs(
+        first,
+        second,
+        p,
+        np.zeros(count),
+        np.ones((count, 2), dtype=np.int64),
+        states.reshape(-1, histories.WIDTH),
+        bits,
+        stages,
+    )
+
+
+def holds(relation: Relation, first: Ints, second: Ints, mean: Floats, cov: Floats, objects: Objects) -> Floats:
+    """Probability of a relation's predicate for pairs with relative states ``mean (P, 2, d)``, ``cov (P, 3)``."""
+    out = np.empty(len(first))
+    known = np.maximum(objects.unseen[first], objects.unseen[second]) <= relation.seen_within
+    state: list[Any] = [mean[:, 0], mean[:, 1], cov[:, 0], cov[:, 2]]
+    state += [objects.mean[first, 1], objects.mean[second, 1], objects.cov[first, 2], objects.cov[second, 2]]
+    truth(*program(relation), *(np.ascontiguousarray(x) for x in state), known, out)
+    return out

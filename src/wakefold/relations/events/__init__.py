@@ -1,0 +1,1 @@
+"""Events of ships: encounters, rendezvous, convoys, loitering, port visits."""

@@ -1,0 +1,1 @@
+"""Compiled loops of the relational filters (numba): arrays in, arrays out."""

@@ -1,0 +1,119 @@
+"""Joint hypotheses about a block of objects: what a detection says in each particle, and which object it is of.
+
+M particles, n objects of the block, D = 2n: positions before velocities. One covariance (D, D) serves all d axes.
+"""
+
+import math
+
+import numpy as np
+
+from wakefold.base.compile import inner, kernel
+
+
+@inner
+def _condition(mean, cov, i, z, variance):
+    """Kalman update by a position of object ``i``, in place; its log-likelihood. A known position stays as it is."""
+    d, size = len(z), len(mean)
+    s = cov[i, i] + variance
+    square = 0.0
+    for k in range(d):
+        square += (z[k] - mean[i, k]) ** 2
+    gain = np.empty(size)
+    for a in range(size):
+        gain[a] = cov[a, i] / s
+    for k in range(d):
+        away = z[k] - mean[i, k]
+        for a in range(size):
+            mean[a, k] += gain[a] * away
+    for a in range(size):
+        for b in range(a, size):
+            cov[a, b] -= gain[a] * gain[b] * s
+            cov[b, a] = cov[a, b]
+    return -0.5 * (square / s + d * math.log(2.0 * math.pi * s))
+
+
+@kernel
+def see(mean, cov, which, z, variance, out):
+    """Update M particles by positions ``z`` (m, d) of objects ``which`` (m,); log-likelihoods are added to ``out``."""
+    for m in range(len(mean)):
+        for j in range(len(which)):
+            out[m] += _condition(mean[m], cov[m], which[j], z[j], variance[j])
+
+
+@kernel
+def assign(mean, cov, z, variance, hit, miss, away, beam, gate, u, choice, out):
+    """Draw for each particle which detection each object has, in proportion to its probability, and update.
+
+    Object after object takes a detection or none; of the joint assignments so far the ``beam`` best are kept, each with
+    the objects' joint Gaussian given its detections. (All are kept, and the draw is exact, where there are no more.)
+
+    Args:
+        mean, cov: (M, D, d), (M, D, D), in place.
+        z, variance: (m, d), (m,) detections.
+        hit, miss: (M, n) log probability that an object is there and detected; that it is not detected.
+        away: log density of detections that are of no object.
+        gate: detections farther than this many standard deviations are not considered.
+        u: (M,) uniforms.
+        choice: (M, n) out: detection of each object, -1 for none.
+        out: (M,) log-likelihood is added (relative to all detections being of no object).
+    """
+    count, n, many, d, size = len(mean), hit.shape[1], len(z), z.shape[1], mean.shape[1]
+    means, covs = np.empty((2, beam, size, d)), np.empty((2, beam, size, size))
+    score, picks = np.empty((2, beam)), np.empty((2, beam, n), dtype=np.int64)
+    room = beam * (many + 1)
+    option, parent, taken = np.empty(room), np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)
+    for m in range(count):
+        now = 0
+        means[0, 0], covs[0, 0], score[0, 0] = mean[m], cov[m], 0.0
+        held = 1
+        for i in range(n):
+            total = 0
+            for h in range(held):
+                option[total], parent[total], taken[total] = score[now, h] + miss[m, i], h, -1
+                total += 1
+                for j in range(many):
+                    free = True
+                    for before in range(i):
+                        free = free and picks[now, h, before] != j
+                    if not free:
+                        continue
+                    s = covs[now, h, i, i] + variance[j]
+                    square = 0.0
+                    for k in range(d):
+                        square += (z[j, k] - means[now, h, i, k]) ** 2
+                    if square > gate * gate * s:
+                        continue
+                    law = -0.5 * (square / s + d * math.log(2.0 * math.pi * s))
+                    option[total], parent[total], taken[total] = score[now, h] + hit[m, i] + law - away, h, j
+                    total += 1
+            new = 1 - now
+            kept = min(beam, total)
+            for slot in range(kept):
+                best = slot
+                for o in range(slot + 1, total):
+                    if option[o] > option[best]:
+                        best = o
+                option[slot], option[best] = option[best], option[slot]
+                parent[slot], parent[best] = parent[best], parent[slot]
+                taken[slot], taken[best] = taken[best], taken[slot]
+                h, j = parent[slot], taken[slot]
+                score[new, slot] = option[slot]
+                means[new, slot], covs[new, slot] = means[now, h], covs[now, h]
+                for before in range(i):
+                    picks[new, slot, before] = picks[now, h, before]
+                picks[new, slot, i] = j
+                if j >= 0:
+                    _condition(means[new, slot], covs[new, slot], i, z[j], variance[j])
+            now, held = new, kept
+        peak = score[now, 0]
+        total_weight = 0.0
+        for h in range(held):
+            total_weight += math.exp(score[now, h] - peak)
+        reach, drawn = u[m] * total_weight, 0
+        while drawn < held - 1 and reach >= math.exp(score[now, drawn] - peak):
+            reach -= math.exp(score[now, drawn] - peak)
+            drawn += 1
+        mean[m], cov[m] = means[now, drawn], covs[now, drawn]
+        for i in range(n):
+            choice[m, i] = picks[now, drawn, i]
+        out[m] += peak + math.log(total_weight)

@@ -1,0 +1,1 @@
+"""Constants of relations, learned from scenes."""

@@ -1,0 +1,1 @@
+"""From a feed to answers: observations, live agents, lines of answers."""

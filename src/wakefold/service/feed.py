@@ -1,0 +1,363 @@
+"""Observations of many agents as a feed, one line each, and the answers to them: CSV or JSON lines.
+
+A feed may be endless, so everything here works line by line, and a line that cannot be used costs itself only: it
+comes out as a ``Refused`` that says which field is wrong. docs/cli.md describes both formats.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple
+
+import numpy as np
+
+from wakefold.evidence.coarse import CoarseClass
+from wakefold.evidence.evidence import Evidence
+from wakefold.evidence.fix import Fix
+from wakefold.io.formats.tables import recognised
+from wakefold.io.report import ReadError, listed
+from wakefold.io.times import formatted, number, parse, within
+
+if TYPE_CHECKING:
+    from wakefold.model.filtration import Filtration
+    from wakefold.tracks.tracks import Tracks
+if TYPE_CHECKING:
+    from wakefold.io.read import Columns
+    from wakefold.io.report import Report
+
+Form = Literal["csv", "jsonl"]
+BOM = b"\xef\xbb\xbf"
+LONGEST_LINE = 1 << 16  # bytes; an observation is some tens of them
+LONGEST_NAME = 200  # characters of an agent's name
+FIELDS = ("agent", "track", "time", "lon", "lat", "x", "y", "z")  # under the names that `tables` recognises
+MORE_FIELDS = ("sd", "class", "level", "confidence")
+CONFIDENCE = 0.9
+LARGEST = 1e100  # of numbers; their squares still are numbers
+ECHOED = 60  # characters of a value that a message repeats
+YEAR = 365 * 86400.0
+
+
+class Observation(NamedTuple):
+    """What was seen of one agent at one time; neither a fix nor a class is a time at which nothing was seen.
+
+    Attributes:
+        line: number of the line it stands on, from 1.
+        agent: name.
+        time: seconds UTC since 1970 (or on the data's own clock).
+        stamp: the time as it was written.
+        fix: a position.
+        class_: a class id, or ``track:NAME`` for the class that holds this track at the level.
+        level: of the class, metres; the birth of the class without it.
+        confidence: probability that the report of the class is right.
+    """
+
+    line: int
+    agent: str
+    time: float
+    stamp: str | float
+    fix: Fix | None = None
+    class_: int | str | None = None
+    level: float | None = None
+    confidence: float = CONFIDENCE
+
+    def coarse(self, tree: Filtration) -> list[Evidence]:
+        """The report of a class as evidence, an empty list if there is none.
+
+        Raises:
+            ValueError: no such class or track, or it is not alive at the level; the message begins with the field.
+        """
+        if self.class_ is None:
+            return []
+        try:
+            if isinstance(self.class_, int):
+                item = CoarseClass(self.class_, self.level, self.confidence)
+                item.at_level(tree)
+                return [item]
+            if self.level is None:
+                raise ValueError("a class given by a track needs a level")
+            named = tree.class_at(self.class_.removeprefix("track:"), self.level)
+            return [CoarseClass(named, self.level, self.confidence)]
+        except ValueError as error:
+            raise ValueError(f"class: {error}") from None
+
+
+class Refused(NamedTuple):
+    """A line that is no observation, and why: the field first."""
+
+    line: int
+    why: str
+
+
+def form_of(first: bytes) -> Form:
+    """Whether a feed is JSON lines or CSV, by its first line that is not blank."""
+    return "jsonl" if first.removeprefix(BOM).lstrip().startswith(b"{") else "csv"
+
+
+def header_problem(first: bytes, columns: Mapping[str, str | int] | None = None) -> str | None:
+    """What the first line of a CSV feed lacks to be a header of observations; None if nothing."""
+    names = _layout(first.removeprefix(BOM))[1]
+    for ours, name in (columns or {}).items():
+        if name not in names:
+            return f"no column {name!r} (for {ours}) among {listed(names)}"[:500]
+    found = _Names(columns or {}).ours(tuple(names))
+    missing = [] if {"agent", "track"} & found.keys() else ["agent"]
+    missing += [] if "time" in found else ["time"]
+    if not ({"lon", "lat"} <= found.keys() or {"x", "class"} & found.keys()):
+        missing.append("lon and lat (or x and y, or class)")
+    return f"no column for {listed(missing)} among {listed(names)}"[:500] if missing else None
+
+
+def read(
+    lines: Iterable[tuple[int, bytes]],
+    columns: Mapping[str, str | int] | None = None,
+    time_format: str | None = None,
+) -> Iterator[Observation | Refused]:
+    """Observations of a feed, as its lines come.
+
+    Args:
+        lines: numbers from 1, and texts with or without their ends; blank ones are skipped.
+        columns: the feed's names of fields, by ours, where they do not speak for themselves.
+        time_format: see ``wakefold.io.times``.
+
+    Raises:
+        ReadError: the header of a CSV feed does not say who and when.
+    """
+    numbered = ((n, line.removeprefix(BOM)) for n, line in lines if line.strip())
+    first = next(numbered, None)
+    if first is None:
+        return
+    if form_of(first[1]) == "jsonl":
+        rows = map(_json_row, chain([first], numbered))
+    else:
+        if problem := header_problem(first[1], columns):
+            raise ReadError(f"observations: {problem}")
+        rows = _csv_rows(first[1], numbered)
+    names = _Names(columns or {})
+    for line, row in rows:
+        try:
+            yield _observation(line, row if isinstance(row, str) else names(row), time_format)
+        except ValueError as error:
+            yield Refused(line, str(error))
+
+
+def is_feed(first: bytes, columns: Mapping[str, str | int] | None = None) -> bool:
+    """Whether the first line that is not blank is one of a feed: a header, or an object, that says who and when."""
+    if form_of(first) == "csv":
+        return header_problem(first, columns) is None
+    row = _json_row((1, first))[1]
+    return isinstance(row, dict) and {"agent", "time"} <= _Names(columns or {}).ours(tuple(row)).keys()
+
+
+def numbered_lines(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
+    """Lines of a stream with their numbers, each as soon as it is there.
+
+    Of a line longer than ``LONGEST_LINE`` that much and a byte comes, so that ``read`` refuses it.
+    """
+    number = 0
+    while line := stream.readline(LONGEST_LINE + 1):
+        number += 1
+        rest = line
+        while len(rest) > LONGEST_LINE and not rest.endswith(b"\n"):
+            rest = stream.readline(LONGEST_LINE + 1)
+        yield number, line
+
+
+def of_tracks(tracks: Tracks) -> Iterator[Observation]:
+    """The points of tracks as fixes of their agents, all in the order of time."""
+    owner = np.repeat(np.arange(len(tracks)), tracks.lengths)
+    names = tracks.attributes.get("agent", tracks.ids)
+    geodetic, dates = tracks.projection is not None, dated(tracks)
+    places = tracks.projection.to_geodetic(tracks.points) if tracks.projection is not None else tracks.points
+    for count, row in enumerate(np.argsort(tracks.times, kind="stable"), 1):
+        fix = Fix(lon=places[row, 0], lat=places[row, 1]) if geodetic else Fix(places[row])
+        time = float(tracks.times[row])
+        stamp = str(np.datetime64(round(1000 * time), "ms")) + "Z" if dates else time
+        yield Observation(count, str(names[owner[row]]), time, stamp, fix)
+
+
+def dated(tracks: Tracks) -> bool:
+    """Whether the times are dates: of geodetic tracks after 1970, as data without times count seconds from 0."""
+    return tracks.projection is not None and float(tracks.times.min()) >= YEAR
+
+
+# Lines to fields
+
+
+def _json_row(numbered: tuple[int, bytes]) -> tuple[int, dict[str, Any] | str]:
+    line, text = numbered
+    if len(text) > LONGEST_LINE:
+        return line, f"line: longer than {LONGEST_LINE:,} bytes"
+    try:
+        row = json.loads(text)
+    except (ValueError, RecursionError):
+        return line, f"line: not JSON: {_echo(text[:LONGEST_NAME].decode('utf-8', 'replace').strip())}"
+    return line, row if isinstance(row, dict) else "line: not a JSON object"
+
+
+def _layout(header: bytes) -> tuple[str, list[str]]:
+    """Delimiter and names of the columns."""
+    text = header.decode("utf-8", "replace").strip("\r\n")
+    delimiter = max(",;\t|", key=text.count)
+    return delimiter, [name.strip() for name in next(csv.reader([text], delimiter=delimiter))]
+
+
+def _csv_rows(header: bytes, rest: Iterable[tuple[int, bytes]]) -> Iterator[tuple[int, dict[str, Any] | str]]:
+    delimiter, names = _layout(header)
+    for line, raw in rest:
+        if len(raw) > LONGEST_LINE:
+            yield line, f"line: longer than {LONGEST_LINE:,} bytes"
+            continue
+        try:
+            cells = next(csv.reader([raw.decode("utf-8", "replace").strip("\r\n")], delimiter=delimiter, strict=True))
+        except csv.Error:
+            yield line, "line: a quotation mark is out of place"
+            continue
+        if len(cells) != len(names):
+            yield line, f"line: {len(cells)} fields, the header has {len(names)}"
+            continue
+        yield line, dict(zip(names, map(str.strip, cells), strict=True))
+
+
+class _Names:
+    """Fields under our names. The keys of a JSON feed may differ from line to line; few sets of them come."""
+
+    def __init__(self, columns: Mapping[str, str | int]) -> None:
+        self.columns = columns
+        self._known: dict[tuple[str, ...], dict[str, str]] = {}
+
+    def __call__(self, row: Mapping[str, Any]) -> dict[str, Any]:
+        theirs = self.ours(tuple(row))
+        return {ours: row[name] for ours, name in theirs.items() if row[name] not in (None, "")}
+
+    def ours(self, keys: tuple[str, ...]) -> dict[str, str]:
+        """Their name of each of our fields that is there."""
+        theirs = self._known.get(keys)
+        if theirs is None:
+            plain = {name.strip().lower(): name for name in keys}
+            theirs = {ours: name for ours, name in recognised(keys).items() if ours in FIELDS}
+            theirs |= {ours: plain[ours] for ours in MORE_FIELDS if ours in plain}
+            theirs |= {ours: str(name) for ours, name in self.columns.items() if name in keys}
+            if len(self._known) < 1000:
+                self._known[keys] = theirs
+        return theirs
+
+
+# Fields to an observation
+
+
+def _observation(line: int, row: Mapping[str, Any] | str, time_format: str | None) -> Observation:
+    if isinstance(row, str):
+        raise ValueError(row)
+    agent = row.get("agent", row.get("track"))
+    if agent is None or isinstance(agent, (bool, dict, list)):
+        raise ValueError("agent: missing")
+    if len(str(agent)) > LONGEST_NAME:
+        raise ValueError(f"agent: longer than {LONGEST_NAME} characters")
+    if any("\ud800" <= character <= "\udfff" for character in str(agent)):  # JSON can write half a character
+        raise ValueError(f"agent: {_echo(agent)} is not text")
+    if "time" not in row:
+        raise ValueError("time: missing")
+    time = parse(row["time"]) if time_format is None else formatted(str(row["time"]), time_format)
+    if not math.isfinite(time):
+        wanted = "neither ISO 8601 nor a number of seconds" if time_format is None else f"not like {time_format}"
+        raise ValueError(f"time: {_echo(row['time'])} is {wanted}")
+    if not within(time):
+        hint = " (is it in seconds? see --time-format)" if time_format is None else ""
+        raise ValueError(f"time: {_echo(row['time'])} lies outside the years 1 to 9999{hint}")
+    class_ = _class(row["class"]) if "class" in row else None
+    level, confidence = _number(row, "level"), _number(row, "confidence")
+    if level is not None and level < 0:
+        raise ValueError(f"level: must not be below 0, got {level:g}")
+    if confidence is not None and not 0 < confidence <= 1:
+        raise ValueError(f"confidence: must be above 0 and at most 1, got {confidence:g}")
+    stamp = row["time"] if isinstance(row["time"], (int, float)) else str(row["time"])
+    sure = CONFIDENCE if confidence is None else confidence
+    return Observation(line, str(agent), time, stamp, _fix(row), class_, level, sure)
+
+
+def _fix(row: Mapping[str, Any]) -> Fix | None:
+    sd = _number(row, "sd")
+    geodetic = "lon" in row or "lat" in row
+    given = {name: _number(row, name) for name in (("lon", "lat") if geodetic else ("x", "y", "z"))}
+    position = [value for value in given.values() if value is not None]
+    if not position:
+        return None
+    if missing := [name for name in list(given)[: 2 if geodetic else len(position)] if given[name] is None]:
+        raise ValueError(f"{missing[0]}: missing")
+    try:
+        return Fix(lon=position[0], lat=position[1], sd=sd) if geodetic else Fix(position, sd=sd)
+    except ValueError as error:  # "Fix lon must be ..."
+        field, _, why = str(error).removeprefix("Fix ").partition(" ")
+        raise ValueError(f"{field}: {why}") from None
+
+
+def _number(row: Mapping[str, Any], name: str) -> float | None:
+    if name not in row:
+        return None
+    value = number(row[name])
+    if not abs(value) < LARGEST:  # NaN too
+        raise ValueError(f"{name}: {_echo(row[name])} is {'out of range' if _large(row[name]) else 'not a number'}")
+    return value
+
+
+def _large(value: Any) -> bool:
+    try:
+        return abs(float(value)) >= LARGEST
+    except OverflowError:  # a whole number of more than 308 digits
+        return True
+    except (TypeError, ValueError):
+        return False
+
+
+def _echo(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= ECHOED else f"{text[: ECHOED - 3]}..."
+
+
+def _class(value: Any) -> int | str:
+    if isinstance(value, str) and value.startswith("track:"):
+        if len(value) > LONGEST_NAME:
+            raise ValueError(f"class: longer than {LONGEST_NAME} characters")
+        return value
+    try:
+        if isinstance(value, bool) or int(value) != float(value):
+            raise ValueError
+        return int(value)
+    except (ValueError, TypeError, OverflowError):
+        raise ValueError(f"class: {_echo(value)} is neither the number of a class nor track:NAME") from None
+
+
+def feed_of(
+    path: Path, columns: Columns | None, time_format: str | None, progress: Callable[[int, int], None]
+) -> tuple[Form, Iterator[Observation | Refused], Report | None]:
+    """What a file observes: CSV or JSON lines as they stand, any other format by way of ``read_tracks``.
+
+    Returns:
+        the form of the file ("csv" for anything else), its observations, the report of ``read_tracks``.
+
+    Raises:
+        ReadError: neither observations nor tracks.
+    """
+    from wakefold.io import ReadError, read_tracks
+    from wakefold.io.sniff import sniff
+    from wakefold.io.source import open_sources
+
+    def feed() -> Iterator[Observation | Refused]:
+        for source in open_sources(path, progress=progress):
+            yield from read(source.lines(), columns, time_format)
+
+    source = next(iter(open_sources(path)))
+    first = next((line for line in source.head.split(b"\n") if line.strip()), b"")
+    try:
+        ais = sniff(source, columns) in ("marinecadastre", "dma")  # they have sentinels and rules of their own
+    except ReadError:
+        ais = False
+    if is_feed(first, columns) and not ais:
+        return form_of(first), feed(), None
+    tracks, report = read_tracks(path, columns=columns, time_format=time_format, progress=progress)
+    return "csv", of_tracks(tracks), report

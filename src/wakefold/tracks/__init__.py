@@ -1,0 +1,1 @@
+"""Tracks: timed sequences of positions, their shaping and their plane."""

@@ -1,0 +1,135 @@
+"""Models and beliefs on disk: bit for bit, and refused when damaged."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+import wakefold as wf
+from wakefold.base.store import StoreError
+
+
+@pytest.fixture(scope="module")
+def model():
+    from wakefold.tracks.projection import Projection
+
+    rng = np.random.default_rng(0)
+    tracks = [np.cumsum(rng.normal(10, 5, size=(int(rng.integers(2, 30)), 2)), axis=0) for _ in range(20)]
+    plain = wf.Tracks.from_arrays(tracks, ids=[f"ship {i}" for i in range(20)], projection=Projection(11.0, 57.0))
+    return wf.learn(plain, linkage="single")
+
+
+def test_a_model_comes_back_bit_for_bit_and_filters_alike(model, tmp_path):
+    model.save(tmp_path / "model")
+    again = wf.load(tmp_path / "model")
+    for name in ("points", "times", "offsets", "ids"):
+        assert np.array_equal(getattr(again.tracks, name), getattr(model.tracks, name))
+    for name in ("order", "gaps", "lo", "hi", "birth", "death", "parent"):
+        assert np.array_equal(getattr(again.filtration, name), getattr(model.filtration, name))
+    for name in ("epsilon", "diagonal", "interval", "noise", "scale"):
+        assert getattr(again.dynamics, name) == getattr(model.dynamics, name)
+    assert again.tracks.projection == model.tracks.projection
+    assert again.sd == model.sd
+    beliefs = []
+    for m in (model, again):
+        f = wf.MHPF(m, 30, levels="all", seed=1)
+        beliefs.append(f.step(f.start(), [wf.Fix(m.tracks[3][1], sd=20.0)], dt=1.5))
+    assert np.array_equal(beliefs[0].points, beliefs[1].points)
+    assert np.array_equal(beliefs[0].log_weights, beliefs[1].log_weights)
+
+
+def test_damaged_models_are_refused(model, tmp_path):
+    place = tmp_path / "model"
+    model.save(place)
+    for file in sorted(place.iterdir()):
+        content = file.read_bytes()
+        for damaged in (
+            content[:-2],
+            content[: len(content) // 2],
+            b"",
+            content[:-9] + bytes([content[-9] ^ 1]) + content[-8:],
+        ):
+            file.write_bytes(damaged)
+            with pytest.raises(StoreError):
+                wf.load(place)
+        file.unlink()
+        with pytest.raises(StoreError):
+            wf.load(place)
+        file.write_bytes(content)
+    wf.load(place)
+    manifest = json.loads((place / "manifest.json").read_text())
+    manifest["meta"]["dynamics"]["epsilon"] *= 2
+    (place / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(StoreError, match="edited"):
+        wf.load(place)
+    with pytest.raises(StoreError, match="not a stored model"):
+        wf.load(tmp_path / "nowhere")
+    model.filtration.save(tmp_path / "tree")
+    with pytest.raises(StoreError, match="holds a filtration, not a model"):
+        wf.load(tmp_path / "tree")
+
+
+def test_a_belief_comes_back_bit_for_bit_and_goes_on_alike(model, tmp_path):
+    f = wf.MHPF(model, 30, seed=1, levels="all")
+    belief = f.step(f.start(time=5.0), [wf.Fix(model.tracks[3][1], sd=20.0)], dt=1.5)
+    belief.save(tmp_path / "belief")
+    again = wf.Belief.load(tmp_path / "belief", model.filtration)
+    for name in ("points", "classes", "log_weights", "key"):
+        assert np.array_equal(getattr(again, name), getattr(belief, name))
+    for name in ("step", "time", "log_evidence", "recoveries", "ignored"):
+        assert getattr(again, name) == getattr(belief, name)
+    assert np.array_equal(again.mean("stack"), belief.mean("stack"))
+    one, two = (f.step(b, [wf.Fix(model.tracks[3][1], sd=20.0)], dt=1.0) for b in (belief, again))
+    assert np.array_equal(one.points, two.points)
+    assert np.array_equal(one.stack.points, two.stack.points)
+    other = wf.learn(model.tracks.select(range(5)))
+    with pytest.raises(StoreError, match="another filtration"):
+        wf.Belief.load(tmp_path / "belief", other.filtration)
+
+
+@pytest.mark.parametrize("evidence", [None, -math.inf, -12.5])
+def test_every_log_evidence_survives_the_disk(model, tmp_path, evidence):
+    from dataclasses import replace
+
+    belief = replace(wf.BL1(model, 10).start(), log_evidence=evidence)
+    belief.save(tmp_path / "belief")
+    assert wf.Belief.load(tmp_path / "belief", model.filtration).log_evidence == evidence
+
+
+def test_objects_show_themselves(model):
+    f = wf.MHPF(model, 30, seed=1)
+    belief = f.step(f.start(), [wf.Fix(model.tracks[3][1], sd=20.0)], dt=1.5)
+    table = belief.level(float(np.median(model.filtration.birth[20:])))
+    assert "probability" in repr(table)
+    assert "<table>" in table._repr_html_()
+    assert "particles" in repr(belief)
+    assert "ESS" in belief._repr_html_()
+    assert "20 tracks" in repr(model)
+    assert "<svg" in model._repr_html_()
+    assert sum(row.size for row in table) == 20
+    assert set(table.members(int(table.classes[0]))) == set(model.filtration.members(int(table.classes[0])))
+
+
+def test_single_points_can_be_learned_and_followed():
+    points = wf.Tracks.from_arrays([np.array([[float(i), 0.0]]) for i in range(4)])
+    model = wf.learn(points)
+    assert model.sd == model.dynamics.epsilon / 2
+    f = wf.MHPF(model, 20)
+    assert np.isfinite(f.step(f.start(), [wf.Fix((1.0, 0.0))], dt=1.0).mean()).all()
+
+
+def test_nothing_to_learn_from():
+    with pytest.raises(ValueError, match="no tracks"):
+        wf.Tracks.from_arrays([])
+
+
+def test_a_belief_that_was_pickled_has_its_coarse_sets(model):
+    import pickle
+
+    f = wf.MHPF(model, 50, seed=1)
+    belief = f.step(f.start(), [wf.Fix((1.0, 2.0), sd=5.0)], dt=3 * model.dynamics.interval)
+    again = pickle.loads(pickle.dumps(belief))  # noqa: S301 (our own)
+    assert len(pickle.dumps(again)) < 200_000  # not the model that the sets are worked out from
+    assert np.array_equal(again.stack.points, belief.stack.points)
+    assert np.array_equal(again.mean("stack"), belief.mean("stack"))
