@@ -312,8 +312,8 @@ def test_checkpoints_of_others_are_refused(tmp_path):
 LONG_FIT = """
 import numpy as np
 from wakefold.base.parallel import Threads
-from wakefold.spanning import spanning_tree
-from wakefold.tracks import Tracks
+from wakefold.model.linkage.spanning import spanning_tree
+from wakefold.tracks.tracks import Tracks
 
 def once(share):
     global told
