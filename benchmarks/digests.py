@@ -38,10 +38,11 @@ FILTERS = (
     ("bl2", None),
 )
 BLAS = ("Haswell", "Zen", "Sandybridge", "Nehalem", "SkylakeX")  # kernels of OpenBLAS
+WIDE = "X86_V4 AVX512_ICL AVX512_SPR AVX512F AVX512CD AVX512_SKX AVX512_CLX AVX512_CNL"  # as numpy names AVX-512
 # The linear algebra's kernels by OPENBLAS_CORETYPE, and the instruction sets of numpy: without AVX-512, without AVX2.
 SETTINGS: dict[str, dict[str, str]] = {f"OpenBLAS {name}": {"OPENBLAS_CORETYPE": name} for name in BLAS} | {
-    "numpy without AVX-512": {"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR"},
-    "numpy without AVX2": {"NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SPR"},
+    "numpy without AVX-512": {"NPY_DISABLE_CPU_FEATURES": WIDE},
+    "numpy without AVX2": {"NPY_DISABLE_CPU_FEATURES": f"X86_V3 AVX2 FMA3 {WIDE}"},
 }
 
 

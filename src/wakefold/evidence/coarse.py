@@ -66,17 +66,18 @@ def coarse_log_g(
     "log": -log(clip(tree distance / diagonal, 1e-4, 1)). Otherwise the confidence for the named class and an even
     share of the rest for each of the others alive at that level.
     """
+    from wakefold.base.small import log
+
     if family == "log":
         distance = np.asarray(tree.tree_distance(classes, item.class_), dtype=np.float64)
         scaled = distance / diagonal if diagonal > 0 else np.sign(distance)
-        g = -np.log(np.minimum(np.maximum(scaled, 1e-4), 1.0))
+        g = -log(np.minimum(np.maximum(scaled, 1e-4), 1.0))
     else:
         others = np.count_nonzero(tree.gaps > level)
         if others == 0:
             return np.zeros(len(classes))
         g = np.where(classes == item.class_, item.confidence, (1.0 - item.confidence) / others)
-    with np.errstate(divide="ignore"):
-        return np.log(g)
+    return log(g)
 
 
 def alive_classes(tree: Filtration, classes: NDArray[np.int64], level: float) -> NDArray[np.int64]:

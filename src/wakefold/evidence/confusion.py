@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
-from scipy.special import roots_jacobi
 
+from wakefold.base import small
 from wakefold.evidence.kernels import shares_near
 from wakefold.model.deviation import Deviation
 from wakefold.tracks.shaping import along
@@ -87,9 +87,9 @@ class Confusion:
         widths = np.array(WIDTHS) * float(np.median(beside.scales))
         scores = []
         for width in widths:
-            near = np.exp(-0.5 * apart2 / width**2)
+            near = small.exp(-0.5 * apart2 / width**2)
             right = (near * alike).sum(axis=1) + PRIOR * chance[named]
-            scores.append(np.log(right / (near.sum(axis=1) + PRIOR)).mean())
+            scores.append(small.log(right / (near.sum(axis=1) + PRIOR)).mean())
         return cls(places, named, chance, float(widths[np.argmax(scores)]))
 
     def probability(self, class_: int, points: Floats, covs: Floats) -> tuple[Floats, float]:
@@ -123,10 +123,41 @@ class Reliability(NamedTuple):
         """
         if not (0.0 < genuine < math.inf and 0.0 < wrong < math.inf):
             raise ValueError(f"reliability must be two positive numbers, got {genuine} and {wrong}")
-        x, w = roots_jacobi(NODES, wrong - 1.0, genuine - 1.0)
-        return cls((x + 1.0) / 2.0, np.log(w / w.sum()))
+        x, w = gauss_jacobi(NODES, wrong - 1.0, genuine - 1.0)
+        return cls((x + 1.0) / 2.0, small.log(w))
 
     @classmethod
     def certain(cls) -> Reliability:
         """Every report is genuine."""
         return cls(np.ones(1), np.zeros(1))
+
+
+def gauss_jacobi(count: int, a: float, b: float) -> tuple[Floats, Floats]:
+    """Nodes ``(count,)``, rising, and weights of sum 1 of the quadrature with weight (1 - x)^a (1 + x)^b on [-1, 1].
+
+    The nodes are the eigenvalues of the matrix of the recurrence of the Jacobi polynomials (Golub and Welsch 1969),
+    found by bisection: an eigenvalue solver of LAPACK differs between processors.
+    """
+    n = np.arange(1, count)
+    s = 2.0 * n + a + b
+    diagonal = np.append((b - a) / (a + b + 2.0), (b - a) * (b + a) / (s * (s + 2.0)))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        squares = 4.0 * n * (n + a) * (n + b) * (n + a + b) / (s * s * (s + 1.0) * (s - 1.0))
+    squares[0] = 4.0 * (1.0 + a) * (1.0 + b) / ((a + b + 2.0) ** 2 * (a + b + 3.0))  # 0 / 0 where a + b is -1
+    low, high = -np.ones(count), np.ones(count)
+    for _ in range(60):
+        x = 0.5 * (low + high)
+        pivot = diagonal[0] - x
+        below = (pivot < 0.0).astype(np.int64)  # how many eigenvalues are below x (Sturm)
+        for k in range(1, count):
+            pivot = diagonal[k] - x - squares[k - 1] / np.where(np.abs(pivot) < 1e-300, 1e-300, pivot)
+            below += pivot < 0.0
+        high = np.where(below > np.arange(count), x, high)
+        low = np.where(below > np.arange(count), low, x)
+    x = 0.5 * (low + high)
+    before, now, total = np.zeros(count), np.ones(count), np.ones(count)  # orthonormal polynomials but for a factor
+    for k in range(count - 1):
+        less = np.sqrt(squares[k - 1]) * before if k else 0.0
+        before, now = now, ((x - diagonal[k]) * now - less) / np.sqrt(squares[k])
+        total += now * now
+    return x, (1.0 / total) / (1.0 / total).sum()

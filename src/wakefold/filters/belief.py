@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from wakefold.base import store
+from wakefold.base import small, store
 
 if TYPE_CHECKING:
     from wakefold.model.filtration import Filtration
@@ -189,7 +189,7 @@ class Belief:
     @cached_property
     def weights(self) -> Floats:
         """``(N,)`` weights of the base particles; they sum to 1."""
-        w = np.exp(self.log_weights - self.log_weights.max())
+        w = small.exp(self.log_weights - self.log_weights.max())
         return w / w.sum()
 
     @property
@@ -249,7 +249,7 @@ class Belief:
             logs = np.concatenate([self.log_weights, self.stack.log_weights])
         else:
             points, logs = self._level_sets(level)
-        weights = np.exp(logs - logs.max())
+        weights = small.exp(logs - logs.max())
         return points, weights / weights.sum()
 
     def _level_sets(self, level: float) -> tuple[Floats, Floats]:
@@ -274,14 +274,16 @@ class Belief:
             level: the sets of this level (metres) alone; it must be one the filter keeps sets for.
         """
         points, weights = self._cloud(estimate, level)
-        return weights @ points
+        return small.mean(weights, points)
 
     def cov(self, estimate: Estimate = "base", *, level: float | None = None) -> Floats:
         """Covariance ``(d, d)`` of the position, square metres, over the same particles as ``mean``."""
         points, weights = self._cloud(estimate, level)
-        away = points - weights @ points
-        between = (away * weights[:, None]).T @ away
-        return between if self.gaussians is None else between + np.einsum("n,nij->ij", weights, self.gaussians.covs)
+        between = small.covariance(weights, points, small.mean(weights, points))
+        if self.gaussians is None:
+            return between
+        covs = self.gaussians.covs
+        return between + small.mean(weights, covs.reshape(len(covs), -1)).reshape(between.shape)
 
     def save(self, directory: str | os.PathLike[str]) -> None:
         """Store bit for bit as a directory of arrays and a manifest; ``load`` needs the same model again."""

@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple, overload
 
 import numpy as np
 
-from wakefold.base import random
+from wakefold.base import random, small
 from wakefold.base.random import agent_key
 from wakefold.base.units import Time, timestamp
 from wakefold.evidence.coarse import CoarseClass, alive_classes, coarse_log_g
@@ -152,7 +152,7 @@ class Calibrated(ParticleFilter):
         """
         d, tracks = self.model.dynamics, self.model.tracks
         owner = np.repeat(self.model.filtration.order, np.diff(d.starts))
-        prior = (log_mass - np.log(tracks.lengths))[owner]
+        prior = (log_mass - small.log(tracks.lengths))[owner]
         length = np.linalg.norm(d.velocities, axis=1) * d.interval
         kinds: list[tuple[Floats, Floats, Floats, Ints, Floats]] = []
         for ratio in self._ratios:
@@ -263,28 +263,27 @@ class Calibrated(ParticleFilter):
             return np.ones(len(cloud.classes)), 1.0, 1.0
         above = alive_classes(tree, cloud.classes, level)
         log_g = coarse_log_g(tree, item, level, above, "gaussian", self.model.dynamics.diagonal)
-        return np.exp(log_g), 1.0 / (others + 1), 1.0
+        return small.exp(log_g), 1.0 / (others + 1), 1.0
 
     def _recovered(self, belief: Belief, cloud: _Cloud, item: Evidence, level: float) -> _Cloud:
         """The cloud started anew from evidence that it holds to be impossible."""
         tracks = len(self.model.tracks)
         if isinstance(item, Fix):
             peak = cloud.log_weights.max()
-            mass = np.bincount(cloud.classes, np.exp(cloud.log_weights - peak), tracks)
+            mass = np.bincount(cloud.classes, small.exp(cloud.log_weights - peak), tracks)
             mass = (1.0 - self.depletion) * mass / mass.sum() + self.depletion / tracks
             u = np.empty(1)
             random.uniforms(belief.key, belief.step + 1, RECOVER, u)
-            with np.errstate(divide="ignore"):
-                return self._around(item, np.log(mass), float(u[0]))
+            return self._around(item, small.log(mass), float(u[0]))
         classes, count = np.unique(self._recover_class(belief, item, level), return_counts=True)
-        weights = np.exp(cloud.log_weights - cloud.log_weights.max())
+        weights = small.exp(cloud.log_weights - cloud.log_weights.max())
         weights /= weights.sum()
-        mean = weights @ cloud.points
+        mean = small.mean(weights, cloud.points)
         away = cloud.points - mean
-        cov = np.einsum("n,nij->ij", weights, cloud.covs + away[:, :, None] * away[:, None, :])
+        cov = (weights[:, None, None] * (cloud.covs + away[:, :, None] * away[:, None, :])).sum(axis=0)
         n = len(classes)
         points, covs = np.tile(mean, (n, 1)), np.tile(cov, (n, 1, 1))
-        return self._cloud(points, covs, np.full(n, weights @ cloud.spreads), classes, np.log(count.astype(np.float64)))
+        return self._cloud(points, covs, np.full(n, (weights * cloud.spreads).sum()), classes, small.log(count))
 
     @overload
     def forecast(self, belief: Belief, horizon: float) -> Belief: ...
@@ -307,7 +306,7 @@ class Calibrated(ParticleFilter):
 
     def genuine(self, belief: Belief) -> float:
         """Expected share of genuine reports, given all there were; 1 when reports are taken to be genuine."""
-        return float(belief.weights @ np.exp(self._opened(belief).trust) @ self.reliability.nodes)
+        return float((small.mean(belief.weights, small.exp(self._opened(belief).trust)) * self.reliability.nodes).sum())
 
 
 def _beside(velocity: Floats, length: Floats, spreads: Floats) -> Floats:
@@ -329,12 +328,12 @@ def _thinned(logs: Floats, starts: Ints, particles: int, u: float) -> tuple[Ints
     one = np.array([u])
     if most == 0:
         rows, count = np.unique(pick_strata(logs, one, particles), return_counts=True)
-        return rows, np.log(count)
+        return rows, small.log(count)
     rows, weights = [], []
     for first, last in itertools.pairwise(starts):
         mass = kernel.log_sum(logs[first:last])
         if mass > -math.inf:
             found, count = np.unique(pick_strata(logs[first:last], one, most), return_counts=True)
             rows.append(first + found)
-            weights.append(mass + np.log(count / most))
+            weights.append(mass + small.log(count / most))
     return np.concatenate(rows), np.concatenate(weights)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.cluster.vq import kmeans2
 
+from wakefold.base import small
 from wakefold.filters.kernels import hmm as kernel
 
 Floats = NDArray[np.float64]
@@ -71,14 +72,12 @@ class GaussianHMM:
         for name, rows in (("initial", self.initial[None]), ("transition", self.transition)):
             if not ((rows >= 0).all() and (np.abs(rows.sum(axis=1) - 1.0) <= 1e-5).all()):
                 raise ValueError(f"{name} must hold probabilities that sum to 1")
-        try:
-            lower = np.linalg.cholesky(self.cov)
-        except np.linalg.LinAlgError:
-            raise ValueError("cov must be positive definite") from None
-        with np.errstate(divide="ignore"):
-            object.__setattr__(self, "_log_initial", np.log(self.initial))
-            object.__setattr__(self, "_log_transition", np.log(self.transition))
-        object.__setattr__(self, "_whiten", np.linalg.inv(lower))
+        whiten = np.zeros_like(self.cov)
+        if not kernel.whiten(self.cov, whiten):
+            raise ValueError("cov must be positive definite")
+        object.__setattr__(self, "_log_initial", small.log(self.initial))
+        object.__setattr__(self, "_log_transition", small.log(self.transition))
+        object.__setattr__(self, "_whiten", whiten)
 
     # One observation after the other
 
@@ -134,7 +133,7 @@ class GaussianHMM:
         if total == -np.inf:
             raise ValueError("no path of states explains the sequence")
         kernel.backward(log_b, self._log_transition, beta)
-        return np.exp(alpha + beta - total)
+        return small.exp(alpha + beta - total)
 
     def viterbi(self, x: ArrayLike) -> tuple[NDArray[np.int64], float]:
         """The likeliest path of states ``(T,)`` and the log density of path and sequence together."""
@@ -286,7 +285,9 @@ def joined(sequences: Sequence[ArrayLike]) -> tuple[Floats, NDArray[np.int64]]:
 
 def _from_labels(x: Floats, label: NDArray[np.int64], states: int, floor: ArrayLike) -> GaussianHMM:
     """Gaussians of labelled observations; to stay is ten times as likely as any one move."""
-    wide = np.tile(np.cov(x.T).reshape(x.shape[1], x.shape[1]) + np.diag(floor), (states, 1, 1))
+    mean, cov = np.empty((1, x.shape[1])), np.empty((1, x.shape[1], x.shape[1]))
+    kernel.moments(x, np.ones((len(x), 1)), mean, cov)
+    wide = np.tile(cov[0] * (len(x) / (len(x) - 1)) + np.diag(floor), (states, 1, 1))
     even = np.ones((states, states)) + 9 * np.eye(states)
     blank = GaussianHMM(np.full(states, 1 / states), _shares(even), np.tile(x.mean(axis=0), (states, 1)), wide)
     mean, cov = _moments(blank, x, np.eye(states)[label], floor)

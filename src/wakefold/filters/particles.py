@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from wakefold.base import random
+from wakefold.base import random, small
 from wakefold.base.random import agent_key
 from wakefold.base.units import Time, timestamp
 from wakefold.evidence.coarse import CoarseClass, Family, coarse_log_g
@@ -83,15 +83,14 @@ def resample(log_weights: Floats, u: Floats, scheme: Resampling) -> Ints:
     """
     count = len(log_weights)
     if scheme == "residual":  # the whole parts are kept for certain, the rest is multinomial over the fractions
-        weights = np.exp(log_weights - log_weights.max())
+        weights = small.exp(log_weights - log_weights.max())
         weights *= count / weights.sum()
         sure = np.floor(weights + 1e-9).astype(np.int64)  # a weight of 1/N is worth one particle despite rounding
         rest = count - int(sure.sum())
         kept = np.repeat(np.arange(count), sure)[:count]
         if rest <= 0:
             return kept
-        with np.errstate(divide="ignore"):
-            extra = _pick(np.log(np.maximum(weights - sure, 0.0)), np.sort(u[:rest]))
+        extra = _pick(small.log(np.maximum(weights - sure, 0.0)), np.sort(u[:rest]))
         return np.sort(np.concatenate([kept, extra]))
     if scheme == "multinomial":
         return _pick(log_weights, np.sort(u))
@@ -295,12 +294,11 @@ class ParticleFilter:
         particle left can be found again.
         """
         count, (_, log_lengths) = len(self.model.tracks), self._rows()
-        weights = np.exp(log_weights - log_weights.max())
+        weights = small.exp(log_weights - log_weights.max())
         mass = np.bincount(classes, weights, count) if self.single else np.ones(count)
         mass = (1.0 - self.depletion) * mass / mass.sum() + self.depletion / count
         u = _draw(random.uniforms, belief.key, belief.step + 1, RECOVER, (1,))
-        with np.errstate(divide="ignore"):
-            log_mass = np.log(mass) - log_lengths
+        log_mass = small.log(mass) - log_lengths
         points, found = self._points_near(fix, log_mass, u)
         return points, found if self.single else classes
 
@@ -325,7 +323,7 @@ class ParticleFilter:
     def _rows_of_tracks(self) -> tuple[Ints, Floats]:
         """``(P,)`` track of each training point, ``(M,)`` logs of the numbers of points; asked by ``_rows``."""
         lengths = self.model.tracks.lengths
-        return np.repeat(np.arange(len(lengths)), lengths), np.log(lengths)
+        return np.repeat(np.arange(len(lengths)), lengths), small.log(lengths)
 
     def _points_near(self, fix: Fix, log_mass: Floats, u: Floats) -> tuple[Floats, Ints]:
         """Training points drawn in proportion to exp(log mass of their track) times the likelihood; their tracks."""

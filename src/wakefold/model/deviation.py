@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
+from wakefold.base import small
 from wakefold.model.dynamics import Dynamics
 from wakefold.model.kernels import components
 from wakefold.model.model import Model
@@ -132,8 +132,8 @@ def _power(model: Model, beside: Deviation) -> float:
         told = _told(model, beside, int(track), rivals)
         related = np.isin(rivals, relatives)
         told = np.maximum(told - told.max(axis=1, keepdims=True), -700.0)  # so that no probability is zero
-        masses = np.exp(powers[:, None, None] * told)
-        scores += np.log(masses[:, :, related].sum(axis=2) / masses.sum(axis=2)).mean(axis=1)
+        masses = small.exp(powers[:, None, None] * told)
+        scores += small.log(masses[:, :, related].sum(axis=2) / masses.sum(axis=2)).mean(axis=1)
     return float(powers[scores.argmax()]) if scores.any() else 1.0
 
 
@@ -151,7 +151,8 @@ def _told(model: Model, beside: Deviation, track: int, rivals: Ints) -> Floats:
         beside.advance(dynamics, points, covs, spreads, classes, float(dt))
         components.correct(points, covs, fix, model.sd**2 + dynamics.floor**2, log_g[k], dynamics.dims)
     sums = np.cumsum(log_g, axis=0).reshape(len(log_g), len(rivals), len(ratios))
-    return np.asarray(logsumexp(sums, axis=2))
+    peak = sums.max(axis=2, keepdims=True)
+    return peak[:, :, 0] + small.log(small.exp(sums - peak).sum(axis=2))
 
 
 def _others(model: Model, track: int, held_out: int) -> tuple[list[int], Floats]:

@@ -180,7 +180,9 @@ class PairEvidence:
         """What the next ``dt`` seconds count as, in first seconds, of pairs seen for ``looked (P,)`` seconds before."""
         if self.fade == 0.0:
             return np.full(len(looked), dt)
-        return (looked + dt) ** (1.0 - self.fade) - looked ** (1.0 - self.fade)
+        from wakefold.base.small import power
+
+        return power(looked + dt, 1.0 - self.fade) - power(looked, 1.0 - self.fade)
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
+from wakefold.base import small
 from wakefold.relations.model import Coupling
 
 Floats = NDArray[np.float64]
@@ -28,23 +27,10 @@ def transition(drag: Floats, pull: Floats, diffusion: Floats, dt: float) -> tupl
 
 @lru_cache(maxsize=4096)
 def _transition(drag: bytes, pull: bytes, diffusion: bytes, n: int, dt: float) -> tuple[Floats, Floats]:
-    a, g = np.zeros((2 * n, 2 * n)), np.zeros((2 * n, 2 * n))
-    a[:n, n:] = np.eye(n)
-    a[n:, :n], a[n:, n:] = -np.frombuffer(pull).reshape(n, n), -np.frombuffer(drag).reshape(n, n)
-    g[n:, n:] = np.frombuffer(diffusion).reshape(n, n)
-    # Van Loan (1978) over a short time, then doubled: over a long one e^(drag dt) would drown the noise
-    fastest = float(np.abs(a[n:]).sum(axis=1).max())
-    doublings = max(0, math.ceil(math.log2(fastest * dt))) if fastest * dt > 0.0 else 0
-    h = dt / 2**doublings
-    both = np.zeros((4 * n, 4 * n))
-    both[: 2 * n, : 2 * n], both[: 2 * n, 2 * n :], both[2 * n :, 2 * n :] = -a, g, a.T
-    e: Floats = np.asarray(expm(both * h), dtype=np.float64)
-    f: Floats = e[2 * n :, 2 * n :].T
-    q: Floats = f @ e[: 2 * n, 2 * n :]
-    for _ in range(doublings):
-        q = q + f @ q @ f.T
-        f = f @ f
-    out = np.asarray(f, dtype=np.float64), np.asarray(0.5 * (q + q.T), dtype=np.float64)
+    if dt > 0.0:
+        out = small.transition(*(np.frombuffer(x).reshape(n, n).copy() for x in (drag, pull, diffusion)), dt)
+    else:
+        out = np.eye(2 * n), np.zeros((2 * n, 2 * n))
     for a in out:
         a.flags.writeable = False  # shared by all who ask again
     return out
@@ -73,11 +59,9 @@ def group(q: Floats, couplings: list[tuple[int, int, Coupling]]) -> tuple[Floats
     for at in np.unique(label):
         members = np.flatnonzero(label == at)
         if len(members) > 1:
-            centre = np.full((len(members), len(members)), 1.0 / len(members))
-            rest = np.eye(len(members)) - centre
-            diffusion[np.ix_(members, members)] = (
-                centre @ np.diag(q[members] ** 2) @ centre + 0.5 * noise[members[0]] ** 2 * rest
-            )
+            rest = np.eye(len(members)) - 1.0 / len(members)
+            centre = float((q[members] ** 2).sum()) / len(members) ** 2  # variance of the mean
+            diffusion[np.ix_(members, members)] = centre + 0.5 * noise[members[0]] ** 2 * rest
     return drag, pull, diffusion
 
 

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wakefold.base import small
 from wakefold.relations.kernels import phases as kernel
 from wakefold.relations.model import Coupling
 from wakefold.relations.motion import group, transition
@@ -139,8 +140,7 @@ class PhaseFilter:
         share = np.zeros(k)
         for phase in self.phases:
             share[self._first[phase.name]] = phase.starts
-        with np.errstate(divide="ignore"):
-            log_p = np.tile(np.log(share), (count, 1))
+        log_p = np.tile(small.log(share), (count, 1))
         return PairPhases(np.zeros((count, k, 4, 2)), np.zeros((count, k, 4, 4)), log_p, np.zeros((count, 2), bool))
 
     def step(self, belief: PairPhases, seen: ArrayLike, sd: float, dt: float) -> PairPhases:
@@ -166,7 +166,7 @@ class PhaseFilter:
 
     def probabilities(self, belief: PairPhases) -> Floats:
         """``(P, phases)`` probability of each phase, in the order given."""
-        return np.add.reduceat(np.exp(belief.log_p), list(self._first.values()), axis=1)
+        return np.add.reduceat(small.exp(belief.log_p), list(self._first.values()), axis=1)
 
     def log_odds(self, belief: PairPhases, names: Sequence[str]) -> Floats:
         """``(P,)`` of being in one of the phases named; at most 700 either way."""
@@ -176,7 +176,7 @@ class PhaseFilter:
 
     def position(self, belief: PairPhases) -> Floats:
         """``(P, 2, 2)`` mean position of both objects, metres; NaN where one has not been seen yet."""
-        place = np.einsum("pk,pkod->pod", np.exp(belief.log_p), belief.mean[:, :, :2])
+        place = (small.exp(belief.log_p)[:, :, None, None] * belief.mean[:, :, :2]).sum(axis=1)
         return np.where(belief.begun[:, :, None], place, np.nan)
 
     def _motions_of(self, dt: float) -> tuple[Floats, Floats]:
@@ -199,6 +199,5 @@ class PhaseFilter:
             first = self._first[phase.name]
             rows += [(k, k + 1, rate, (math.inf,) * 3) for k in range(first, first + phase.stages - 1)]
         before, after = (np.array([row[k] for row in rows], dtype=np.int64) for k in (0, 1))
-        chance = -np.expm1(-dt * np.array([row[2] for row in rows]))
-        with np.errstate(divide="ignore"):
-            return before, after, np.log(chance), np.array([row[3] for row in rows]).reshape(-1, 3) ** 2
+        chance = np.array([-math.expm1(-dt * row[2]) for row in rows])
+        return before, after, small.log(chance), np.array([row[3] for row in rows]).reshape(-1, 3) ** 2

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -95,7 +96,9 @@ class TrackArrays:
     @property
     def diagonal(self) -> float:
         """Length of the diagonal of the bounding box of all points, metres."""
-        return float(np.linalg.norm(self.points.max(axis=0) - self.points.min(axis=0))) if len(self.points) else 0.0
+        if not len(self.points):
+            return 0.0
+        return math.sqrt(float(np.square(self.points.max(axis=0) - self.points.min(axis=0)).sum()))
 
     def __getitem__(self, index: int) -> Floats:
         """Positions ``(n, d)`` of one track, a view."""

@@ -14,6 +14,30 @@ LEAST = 1e-250  # a sum of shares above it has lost nothing to underflow, as eac
 
 
 @kernel
+def whiten(cov, out):
+    """Inverses of the lower Cholesky factors of covariances (K, F, F) into ``out``, which is 0; false: none."""
+    states, features = cov.shape[:2]
+    lower = np.empty((features, features))
+    for k in range(states):
+        for f in range(features):
+            for g in range(f + 1):
+                total = cov[k, f, g]
+                for m in range(g):
+                    total -= lower[f, m] * lower[g, m]
+                if f == g and not total > 0.0:
+                    return False
+                lower[f, g] = math.sqrt(total) if f == g else total / lower[g, g]
+        for g in range(features):  # a column of the inverse
+            out[k, g, g] = 1.0 / lower[g, g]
+            for f in range(g + 1, features):
+                total = 0.0
+                for m in range(g, f):
+                    total -= lower[f, m] * out[k, m, g]
+                out[k, f, g] = total / lower[f, f]
+    return True
+
+
+@kernel
 def log_emission(x, mean, whiten, out):
     """Log density of each observation x (T, F) in each state into out (T, K); 0 where it says nothing (NaN).
 

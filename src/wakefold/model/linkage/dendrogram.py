@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from wakefold.base import small
+
 Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
@@ -116,7 +118,7 @@ def entropy_by_height(size: Ints, birth: Floats, parent: Ints) -> tuple[Floats, 
     """
     tracks = int(size[-1])
     share = size / tracks
-    part = -share * np.log(share)  # what a class adds to the entropy of its level
+    part = -share * small.log(share)  # what a class adds to the entropy of its level
     fall = np.bincount(parent[:-1], weights=part[:-1], minlength=len(size)) - part  # at the birth of a merged class
     heights, group = np.unique(np.append(0.0, birth[tracks:]), return_inverse=True)
     falls = np.bincount(group, weights=np.append(0.0, fall[tracks:]))

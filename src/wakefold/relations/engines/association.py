@@ -13,6 +13,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from wakefold.base import small
 from wakefold.relations.detections import Detections
 
 if TYPE_CHECKING:
@@ -86,8 +87,7 @@ def associate(objects: Objects, scan: Detections, chance: Floats, hypotheses: in
         return found, np.arange(m), after
     i, j, square, s = _within(objects, scan)
     away = max(scan.clutter + scan.birth, TINY)
-    with np.errstate(divide="ignore"):
-        gain = np.log(existence * chance / (missed * away))[i] - 0.5 * (square + d * np.log(2.0 * np.pi * s))
+    gain = small.log(existence * chance / (missed * away))[i] - 0.5 * (square + d * small.log(2.0 * np.pi * s))
     possible = gain > -np.inf
     i, j, gain = i[possible], j[possible], gain[possible]
     graph = coo_array((np.ones(len(i)), (i, n + j)), shape=(n + m, n + m))
@@ -105,10 +105,10 @@ def associate(objects: Objects, scan: Detections, chance: Floats, hypotheses: in
         if len(rows) == 1 and len(columns) == 1:
             best = sorted([(float(cost[0, 0]), np.array([0])), (0.0, np.array([1]))], key=lambda h: h[0])
         totals = np.array([total for total, _ in best])
-        weights = np.exp(totals[0] - totals)
+        weights = small.exp(totals[0] - totals)
         weights /= weights.sum()
         taken = np.array([c < len(columns) for _, c in best])  # (hypotheses, objects)
-        detected = weights @ taken
+        detected = (weights[:, None] * taken).sum(axis=0)
         out[rows] = detected + (1.0 - detected) * after[rows]
         first = best[0][1]
         found[rows] = np.where(first < len(columns), columns[np.minimum(first, len(columns) - 1)], -1)

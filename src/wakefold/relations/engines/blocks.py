@@ -10,8 +10,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from wakefold.base import small
 from wakefold.relations.engines.objects import Settings
 from wakefold.relations.engines.pairs import diffusions
+from wakefold.relations.kernels import sampled as kernel
 from wakefold.relations.model import Sampler
 from wakefold.relations.motion import moving
 from wakefold.relations.scene import Pairs, Particles
@@ -42,12 +44,12 @@ def redraw(
     particles: Particles, pairs: tuple[Pairs, ...], rng: np.random.Generator, always: bool
 ) -> tuple[Particles, list[Pairs]]:
     """Copies, each block resampled systematically: ``always``, or when its effective size is below half of M."""
-    mean, cov, logs = np.array(particles.mean), np.array(particles.cov), np.array(particles.log_weights)
+    mean, cov, logs = (np.array(x, order="C") for x in (particles.mean, particles.cov, particles.log_weights))
     bits = [np.array(p.bits) for p in pairs]
     count, n = logs.shape
     for members in blocks_of(particles):
         u, order = rng.random(), rng.permutation(count)  # drawn even if unused, so that the stream keeps its step
-        weights = np.exp(logs[:, members[0]])
+        weights = small.exp(logs[:, members[0]])
         if not always and 1.0 / (weights**2).sum() >= 0.5 * count:
             continue
         edges = np.cumsum(weights)
@@ -77,6 +79,7 @@ def move(
     acting = [
         (r.couples, p) for r, p in zip(s.model.relations, pairs, strict=True) if r.couples is not None and len(p.first)
     ]
+    states = particles.mean.reshape(count, 2 * n, d)  # a view
     for members in blocks_of(particles):
         place = np.full(n, -1)
         place[members] = np.arange(len(members))
@@ -99,16 +102,9 @@ def move(
                 moved = np.flatnonzero(free[members])
                 f[moved] = np.eye(len(f))[moved]
                 w[moved], w[:, moved] = 0.0, 0.0
-            state = particles.mean[at][:, :, members].reshape(len(at), -1, d)
-            state = f @ state
+            kernel.carry(np.array(f), np.array(w), at, rows, states, particles.cov, noise is None)
             if noise is not None:
-                state += _root(w) @ noise[at[:, None], rows]
-            else:
-                cov = particles.cov[at[:, None, None], rows[:, None], rows]
-                particles.cov[at[:, None, None], rows[:, None], rows] = f @ cov @ f.T + w
-            size = len(members)
-            particles.mean[at[:, None], 0, members] = state[:, :size]
-            particles.mean[at[:, None], 1, members] = state[:, size:]
+                kernel.draw(np.array(w)[None], at, rows, noise, states)
 
 
 def _sampled_motions(s: Settings, particles: Particles, kinds: Ints, dt: float, rng: np.random.Generator) -> None:
@@ -125,27 +121,11 @@ def _sampled_motions(s: Settings, particles: Particles, kinds: Ints, dt: float, 
                 particles.mean[:, i, which] = a.reshape(count, len(which), d)
 
 
-def _root(cov: Floats) -> Floats:
-    """A matrix whose square is a covariance, which may be singular."""
-    values, vectors = np.linalg.eigh(cov)
-    return vectors * np.sqrt(np.maximum(values, 0.0))
-
-
-def draw(cov: Floats, noise: Floats) -> Floats:
-    """Gaussian draws ``(M, D, d)`` of covariance ``cov (M, D, D)`` from standard normals."""
-    return _root(cov) @ noise if cov.ndim == 2 else _roots(cov) @ noise
-
-
-def _roots(cov: Floats) -> Floats:
-    values, vectors = np.linalg.eigh(cov)
-    return vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
-
-
 def summary(particles: Particles) -> tuple[Floats, Floats]:
     """Mean ``(n, 2, d)`` of each object and its covariance (position, cross, velocity) averaged over the axes."""
     _, _, n, d = particles.mean.shape
-    weights = np.exp(particles.log_weights)  # (M, n)
-    mean = np.einsum("mn,mjnd->njd", weights, particles.mean)
+    weights = small.exp(particles.log_weights)  # (M, n)
+    mean = (weights[:, None, :, None] * particles.mean).sum(axis=0).transpose(1, 0, 2)
     cov = np.empty((n, 3))
     own, away = np.arange(n), particles.mean - mean.transpose(1, 0, 2)
     for at, (i, j) in enumerate(((0, 0), (0, 1), (1, 1))):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from wakefold.base import small
 from wakefold.relations.activities import advance
 from wakefold.relations.detections import Detections
 from wakefold.relations.engines.association import TINY, associate
@@ -42,7 +43,7 @@ def step(s: Settings, scene: Scene, scan: Detections | None, dt: float) -> Scene
         if scan.ids is not None:
             found, fresh = match(objects.ids, scan)
             there = np.where(found >= 0, np.where(chance > 0.0, existence * chance, 1.0), 1.0 - existence * chance)
-            evidence = float(np.log(np.maximum(there, TINY)).sum())
+            evidence = float(small.log(np.maximum(there, TINY)).sum())
             existence = exist(existence, found >= 0, chance)
         else:
             found, fresh, existence = associate(objects, scan, chance, s.hypotheses)
@@ -135,7 +136,7 @@ def _with_company(s: Settings, pairs: list[Pairs], objects: Objects) -> tuple[Fl
     told = np.flatnonzero(weight[:, 0] > 0.0)
     if not len(told):
         return mean, cov
-    alone = np.exp(weight[told, 1])  # the probability that no relation holds
+    alone = small.exp(weight[told, 1])  # the probability that no relation holds
     share = ((1.0 - alone) / weight[told, 0])[:, None]
     own = mean[told].copy()
     mean[told] = alone[:, None, None] * own + share[:, :, None] * first[told]

@@ -59,7 +59,7 @@ def switches(relation: Relation, dt: float) -> Floats:
 def _switches(on: float, off: float, broken: float, hidden: float, dt: float) -> Floats:
     rates = np.array([[on, off], [0.0, off + broken], [0.0, hidden]])
     total = rates.sum(axis=1, keepdims=True)
-    change = np.where(total > 0.0, -np.expm1(-total * dt), 0.0)
+    change = np.array([[-math.expm1(-x * dt)] for x in total[:, 0].tolist()])  # numpy's differs between processors
     return np.divide(rates * change, total, out=np.zeros((3, 2)), where=total > 0.0)
 
 

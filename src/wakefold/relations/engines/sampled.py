@@ -13,10 +13,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from wakefold.base import small
 from wakefold.relations.activities import advance
 from wakefold.relations.detections import Detections
 from wakefold.relations.engines.association import GATE, TINY
-from wakefold.relations.engines.blocks import blocks_of, draw, move, redraw, regroup, rows_of, summary
+from wakefold.relations.engines.blocks import blocks_of, move, redraw, regroup, rows_of, summary
 from wakefold.relations.engines.objects import GONE, Objects, Settings, enter, exist, match, objects_of
 from wakefold.relations.engines.pairs import candidates, program, refresh, switches
 from wakefold.relations.engines.unseen import chances, narrow
@@ -102,7 +103,7 @@ def _look(
         mean = np.ascontiguousarray(particles.mean[:, :, members].reshape(count, 2 * size, d))
         cov = np.ascontiguousarray(particles.cov[:, rows[:, None], rows])
         there = existence[members] * chance[:, members]  # there and detected
-        hit, miss = np.log(np.maximum(there, TINY)), np.log(np.maximum(1.0 - there, TINY))
+        hit, miss = small.log(np.maximum(there, TINY)), small.log(np.maximum(1.0 - there, TINY))
         before = particles.log_weights[:, members[0]]
         gain = np.zeros(count)
         if scan.ids is not None:
@@ -128,17 +129,17 @@ def _look(
         total = float(np.logaddexp.reduce(after))
         after = after - total
         evidence += total
-        weights = np.exp(after)
+        weights = small.exp(after)
         still = np.where(
             detected, 1.0, exist(np.broadcast_to(existence[members], detected.shape), detected, chance[:, members])
         )
-        existence[members] = weights @ still
+        existence[members] = small.mean(weights, still)
         if blind is not None:
             narrow(mean, cov, ~detected, members, blind)
-        unseen[members] = np.where(weights @ detected >= 0.5, 0.0, unseen[members])
+        unseen[members] = np.where(small.mean(weights, detected.astype(np.float64)) >= 0.5, 0.0, unseen[members])
         if scan.ids is None:
             for k, j in enumerate(offered):
-                owned[j] = weights @ np.any(choice == k, axis=1)
+                owned[j] = (weights * np.any(choice == k, axis=1)).sum()
         particles.log_weights[:, members] = after[:, None]
         particles.mean[:, :, members] = mean.reshape(count, 2, size, d)
         particles.cov[:, rows[:, None], rows] = cov
@@ -173,11 +174,11 @@ def _recover(mean: Floats, seen: Ints, scan: Detections, at: Ints, rng: np.rando
 def _sample(particles: Particles, rng: np.random.Generator) -> None:
     """Objects are drawn from their Gaussians, which become points, in place."""
     count, _, n, d = particles.mean.shape
-    noise = rng.standard_normal((count, 2 * n, d))
+    noise, states = rng.standard_normal((count, 2 * n, d)), particles.mean.reshape(count, 2 * n, d)  # a view
     for members in blocks_of(particles):
         rows = rows_of(members, n)
-        moved = draw(particles.cov[:, rows[:, None], rows], noise[:, rows])
-        particles.mean[:, :, members] += moved.reshape(count, 2, len(members), d)
+        cov = np.ascontiguousarray(particles.cov[:, rows[:, None], rows])
+        kernel.draw(cov, np.arange(count), rows, noise, states)
     particles.cov[:] = 0.0
 
 
@@ -237,7 +238,7 @@ def _switch(
     chances = switches(relation, dt)
     holds, known = holds.reshape(count, many), features[-1].reshape(count, many)
     on, off = (np.where(known, holds * c[0] + (1.0 - holds) * c[1], c[2]) for c in chances.T)
-    weights = np.exp(particles.log_weights[:, p.first])
+    weights = small.exp(particles.log_weights[:, p.first])
     before = (weights * p.bits).sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean_on = np.where(before < 1.0, (weights * ~p.bits * on).sum(axis=0) / (1.0 - before), 0.0)
@@ -271,7 +272,7 @@ def _turnover(
         rows = rows_of(kept, len(stays))
         objects = objects.keep(kept)
         particles = Particles(
-            particles.mean[:, :, kept],
+            np.ascontiguousarray(particles.mean[:, :, kept]),
             np.ascontiguousarray(particles.cov[:, rows[:, None], rows]),
             particles.log_weights[:, kept],
             particles.block[kept],

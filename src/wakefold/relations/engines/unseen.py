@@ -42,7 +42,7 @@ class Blind(NamedTuple):
         variance, away = self.variance[at, object_], self.away[at, object_]
         missed = np.maximum(1.0 - self.chance[at, object_], TINY)
         missed /= missed.sum(axis=1, keepdims=True)
-        shift = (missed[:, None] @ away)[:, 0]
+        shift = (missed[:, :, None] * away).sum(axis=1)
         square = away**2
         left = (missed * (square[:, :, 0] + square[:, :, 1])).sum(axis=1) - (shift**2).sum(axis=1)
         share = np.divide(left, 2.0 * variance, out=np.ones_like(left), where=variance > 0.0)

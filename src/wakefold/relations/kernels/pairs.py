@@ -103,6 +103,18 @@ def _log_ratio(ux, uy, wx, wy, ax, ay, bx, by, distances, differences, speeds, t
 
 
 @kernel
+def in_common(p, first, second):
+    """Sums over others of the products of what two have with each, ``p`` (n, n) symmetric, for pairs (P,)."""
+    out = np.empty(len(first))
+    for i in range(len(first)):
+        total = 0.0
+        for k in range(len(p)):
+            total += p[first[i], k] * p[second[i], k]
+        out[i] = total
+    return out
+
+
+@kernel
 def log_ratios(u, w, va, vb, distances, differences, speeds, table, out):
     """``_log_ratio`` of n pairs, ``u, w, va, vb`` (n, 2)."""
     for i in range(len(u)):

@@ -11,33 +11,12 @@ import math
 import numpy as np
 
 from wakefold.base.compile import inner, kernel
+from wakefold.base.small import transform
 
 FAINT = -60.0
 # What a turn asks of a state: rows of difference in position, difference in velocity, either velocity.
 ASKED = np.array([[-1.0, 1.0, 0.0, 0.0], [0.0, 0.0, -1.0, 1.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 POSITION = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]])
-
-
-@inner
-def _move(x, c, f, q, out_x, out_c, work):
-    """Predict: ``out_x = f x``, ``out_c = f c f' + q``."""
-    for i in range(4):
-        for k in range(x.shape[1]):
-            total = 0.0
-            for j in range(4):
-                total += f[i, j] * x[j, k]
-            out_x[i, k] = total
-        for j in range(4):
-            total = 0.0
-            for k in range(4):
-                total += f[i, k] * c[k, j]
-            work[i, j] = total
-    for i in range(4):
-        for j in range(i + 1):
-            total = q[i, j]
-            for k in range(4):
-                total += work[i, k] * f[j, k]
-            out_c[i, j] = out_c[j, i] = total
 
 
 @inner
@@ -107,7 +86,7 @@ def step(mean, cov, log_p, begun, z, variance, speed, f, q, before, after, log_t
         for k in range(phases):
             old[k], log_p[p, k], stay[k] = log_p[p, k], -np.inf, 1.0
             if old[k] > FAINT:
-                _move(mean[p, k], cov[p, k], f[k], q[k], moved[k], moved_c[k], work)
+                transform(mean[p, k], cov[p, k], f[k], q[k], moved[k], moved_c[k], work)
         for j in range(len(before) if begun[p, 0] and begun[p, 1] else 0):
             k, chance = before[j], log_turn[j]
             if old[k] <= FAINT:

@@ -8,19 +8,21 @@ import math
 import numpy as np
 
 from wakefold.base.compile import inner, kernel
+from wakefold.base.small import root, transform
 
 
 @inner
 def _condition(mean, cov, i, z, variance):
     """Kalman update by a position of object ``i``, in place; its log-likelihood. A known position stays as it is."""
     d, size = len(z), len(mean)
-    s = cov[i, i] + variance
+    own = max(cov[i, i], 0.0)  # rounding may leave a variance just below 0: the position is known then
+    s = own + variance
     square = 0.0
     for k in range(d):
         square += (z[k] - mean[i, k]) ** 2
     gain = np.empty(size)
     for a in range(size):
-        gain[a] = cov[a, i] / s
+        gain[a] = cov[a, i] / s if own > 0.0 else 0.0
     for k in range(d):
         away = z[k] - mean[i, k]
         for a in range(size):
@@ -30,6 +32,54 @@ def _condition(mean, cov, i, z, variance):
             cov[a, b] -= gain[a] * gain[b] * s
             cov[b, a] = cov[a, b]
     return -0.5 * (square / s + d * math.log(2.0 * math.pi * s))
+
+
+@kernel
+def carry(f, w, at, rows, mean, cov, spread):
+    """Move the ``rows`` of particles ``at`` by ``f`` and noise of covariance ``w`` (R, R), in place.
+
+    Args:
+        mean, cov: (M, D, d), (M, D, D).
+        spread: whether covariances grow, too.
+    """
+    size, d = len(rows), mean.shape[2]
+    x, c, out_x, out_c = np.empty((size, d)), np.zeros((size, size)), np.empty((size, d)), np.empty((size, size))
+    work = np.empty((size, size))
+    for m in at:
+        for i in range(size):
+            for k in range(d):
+                x[i, k] = mean[m, rows[i], k]
+            for j in range(size):
+                c[i, j] = cov[m, rows[i], rows[j]]
+        transform(x, c, f, w, out_x, out_c, work)
+        for i in range(size):
+            for k in range(d):
+                mean[m, rows[i], k] = out_x[i, k]
+            if spread:
+                for j in range(size):
+                    cov[m, rows[i], rows[j]] = out_c[i, j]
+
+
+@kernel
+def draw(cov, at, rows, noise, mean):
+    """Add to the ``rows`` of particles ``at`` Gaussian numbers of covariance ``cov``, in place.
+
+    Args:
+        cov: (m, R, R) of each particle, or (1, R, R) of all.
+        noise: (M, D, d) standard normal; mean: (M, D, d).
+    """
+    size = len(rows)
+    lower = np.empty((size, size))
+    for number in range(len(at)):
+        m = at[number]
+        if number < len(cov):
+            root(cov[number], lower)
+        for i in range(size):
+            for k in range(mean.shape[2]):
+                total = 0.0
+                for j in range(i + 1):
+                    total += lower[i, j] * noise[m, rows[j], k]
+                mean[m, rows[i], k] += total
 
 
 @kernel

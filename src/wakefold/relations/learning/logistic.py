@@ -5,13 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from wakefold.base import small
+
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+ROUNDS, SLOPE = 100, 1e-6  # at which a regression ends: so many steps, or a loss so level
 
 
 def log_odds(p: Floats) -> Floats:
     """Of probabilities, those nearer to 0 or 1 than a millionth taken to be there."""
-    return np.log(np.maximum(p, 1e-6)) - np.log(np.maximum(1.0 - p, 1e-6))
+    return small.log(np.maximum(p, 1e-6)) - small.log(np.maximum(1.0 - p, 1e-6))
 
 
 def probability(z: Floats) -> Floats:
@@ -29,26 +32,28 @@ def logistic(x: Floats, y: Bools, importance: Floats, offset: Floats, ridge: flo
         offset: ``(n,)`` added to the log-odds.
         ridge: penalty on squared weights.
     """
-    from scipy.optimize import minimize
-
     penalty = np.append(np.full(x.shape[1] - 1, ridge), 1e-9)
-    last, z, p, weighed = np.full(x.shape[1], np.nan), offset, offset, np.empty_like(x)
-
-    def look(w: Floats) -> None:
-        nonlocal last, z, p
-        if not np.array_equal(w, last):  # the curvature is mostly asked for where the loss has been
-            last, z = w.copy(), x @ w + offset
-            p = probability(z)
+    x, none = np.ascontiguousarray(x), np.zeros(x.shape[1])
 
     def loss(w: Floats) -> tuple[float, Floats]:
-        look(w)
-        value = (importance * np.logaddexp(0.0, np.where(y, -z, z))).sum() + 0.5 * (penalty * w * w).sum()
-        return float(value), x.T @ (importance * (p - y)) + penalty * w
+        z = small.times(x, w) + offset
+        return float((importance * np.logaddexp(0.0, np.where(y, -z, z))).sum() + 0.5 * (penalty * w * w).sum()), z
 
-    def curvature(w: Floats) -> Floats:
-        look(w)
-        np.multiply(x, (importance * p * (1.0 - p))[:, None], out=weighed)
-        return weighed.T @ x + np.diag(penalty)
-
-    start = np.zeros(x.shape[1])
-    return minimize(loss, start, jac=True, hess=curvature, method="trust-exact", options={"gtol": 1e-6}).x
+    w = none
+    value, z = loss(w)
+    for _ in range(ROUNDS):  # Newton's, half a step where a whole one goes too far: the loss is convex
+        p = probability(z)
+        slope = small.mean(importance * (p - y), x) + penalty * w
+        if np.sqrt((slope * slope).sum()) < SLOPE:
+            break
+        curvature = small.covariance(importance * p * (1.0 - p), x, none) + np.diag(penalty)
+        step, share, before = small.solve(curvature, slope), 1.0, value
+        while True:
+            value, z = loss(w - share * step)
+            if value <= before or share < 1e-6:
+                break
+            share *= 0.5
+        w = w - share * step
+        if not value < before:
+            break
+    return w

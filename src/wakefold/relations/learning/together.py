@@ -11,12 +11,15 @@ of it that ``RelationalFilter`` can follow.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from wakefold.base import small
+from wakefold.relations.kernels.pairs import in_common
 from wakefold.relations.learning.logistic import Bools, Floats, logistic, probability
 from wakefold.relations.learning.walkers import (
     DIFFERENCE,
@@ -126,7 +129,7 @@ class TogetherFit:
         for _ in range(ROUNDS):
             for design, term in zip(designs, terms, strict=True):
                 design[:, 1:3] = np.column_stack(_judged(term, spacing, self.online))
-            z, ghosts = (design @ self.weights + base for design in designs)
+            z, ghosts = (small.times(design, self.weights) + base for design in designs)
             shift = self.trust * _shift(z, ghosts, scene.rate)
             p = probability(z + shift)
             count = 0.2 * p.sum()
@@ -147,10 +150,11 @@ class TogetherFit:
         Friends in common are left out: they are known at the end only.
         """
         frames, told, log_spacing, strolled = running(walkers, scene.pairs, self._at_knots(constants.spacing))
-        amount = (frames / UNIT) ** (1.0 - self.fade)
+        amount = small.power(frames / UNIT, 1.0 - self.fade)
         z = told * amount + self.weights[-1]
         if not self.online:
-            z += np.column_stack([~strolled, *_off(log_spacing - constants.spacing)]) @ self.weights[:3]
+            columns = np.column_stack([~strolled, *_off(log_spacing - constants.spacing)])
+            z += small.times(columns, self.weights[:3])
         return probability(z + _base_rate(scene) + constants.shift)
 
     def relation(
@@ -181,17 +185,17 @@ class TogetherFit:
 
     def _told(self, terms: _Terms, spacing: float) -> Floats:
         """``(K,)`` log-odds without base rate and shift."""
-        return _design(terms, spacing, self.online) @ self.weights
+        return small.times(_design(terms, spacing, self.online), self.weights)
 
     def _at_knots(self, spacing: float) -> Floats:
         """``(16,)`` what a look tells at each knot of spacing and of the difference of velocities."""
         told = self.weights[3:-1].copy()
         if self.online:
-            told[: len(SPACING)] += np.column_stack(_off(SPACING - spacing)) @ self.weights[1:3]
+            told[: len(SPACING)] += small.times(np.column_stack(_off(SPACING - spacing)), self.weights[1:3])
         return told
 
     def _with_friends(self, z: Floats, pairs: Together, people: int) -> Floats:
-        return probability(_friends(z, pairs, people) @ self.friends)
+        return probability(small.times(_friends(z, pairs, people), self.friends))
 
 
 def fit(
@@ -257,7 +261,7 @@ def fits(
 
     def asked(weights: Floats) -> list[float]:
         return [
-            _shift(x @ weights + _base_rate(s), g @ weights + _base_rate(s), s.rate)
+            _shift(small.times(x, weights) + _base_rate(s), small.times(g, weights) + _base_rate(s), s.rate)
             for x, g, s in zip(designs, unreal, scenes, strict=True)
         ]
 
@@ -270,7 +274,7 @@ def fits(
             shifts = [trust * shift for shift in asked(weights)]
             weights = weigh(shifts)
         known = [
-            _friends(x @ weights + _base_rate(s) + d, s.pairs, s.people)
+            _friends(small.times(x, weights) + _base_rate(s) + d, s.pairs, s.people)
             for x, s, d in zip(designs, scenes, shifts, strict=True)
         ]
         friends = logistic(np.concatenate(known)[:, ::-1], labels, heavy, np.zeros(len(labels)), 0.01)[::-1]
@@ -288,7 +292,7 @@ class _Terms(NamedTuple):
 
 
 def _terms(seen: Looks, fade: float) -> _Terms:
-    amount = (seen.frames / UNIT) ** (1.0 - fade)
+    amount = small.power(seen.frames / UNIT, 1.0 - fade)
     return _Terms(amount, seen.shape * amount[:, None], seen.log_spacing, seen.strolled)
 
 
@@ -303,8 +307,8 @@ def _judged(terms: _Terms, spacing: float, online: bool) -> list[Floats]:
     """The two columns that say how the spacing is off the scene's."""
     if not online:
         return list(_off(terms.log_spacing - spacing))
-    near = terms.shape[:, : len(SPACING)]  # hat functions: straight lines between the knots
-    return [near @ x for x in _off(SPACING - spacing)]
+    near = np.ascontiguousarray(terms.shape[:, : len(SPACING)])  # hat functions: straight lines between the knots
+    return [small.times(near, x) for x in _off(SPACING - spacing)]
 
 
 def _off(off: Floats) -> tuple[Floats, Floats]:
@@ -319,12 +323,12 @@ def _cells(knots: Floats, values: Floats, many: int) -> tuple[Floats, Floats]:
     """
     inner = np.linspace(knots[0], knots[-1], many + 1)
     middle = np.concatenate([knots[:1], 0.5 * (inner[1:] + inner[:-1]), knots[-1:]])
-    return np.concatenate([[0.0], np.exp(inner), [2.0 * np.exp(knots[-1])]]), np.interp(middle, knots, values)
+    return np.concatenate([[0.0], small.exp(inner), 2.0 * small.exp(knots[-1:])]), np.interp(middle, knots, values)
 
 
 def _base_rate(scene: Crowd) -> float:
     """Log-odds before anything is seen: so many partners for each person, whoever else is there."""
-    return float(np.log(scene.people / max(len(scene.pairs.first), 1)))
+    return math.log(scene.people / max(len(scene.pairs.first), 1))
 
 
 def _shift(z: Floats, ghosts: Floats, rate: float) -> float:
@@ -349,7 +353,7 @@ def _friends(z: Floats, pairs: Together, people: int) -> Floats:
     """Columns: constant, own log-odds, expected number of friends in common, and of friends of one alone."""
     p = np.zeros((people, people))
     p[pairs.first, pairs.second] = p[pairs.second, pairs.first] = probability(z)
-    shared = (p @ p)[pairs.first, pairs.second]
+    shared = in_common(p, pairs.first, pairs.second)
     degree = p.sum(axis=1)
     alone = degree[pairs.first] + degree[pairs.second] - 2.0 * probability(z) - 2.0 * shared
     return np.column_stack([np.ones(len(z)), z, shared, np.maximum(alone, 0.0)])

@@ -7,14 +7,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from wakefold.base import small
 from wakefold.relations.smoothing import constant_velocity
 from wakefold.tracks.tracks import Tracks
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-SPACING = np.log([0.4, 0.6, 0.8, 1.1, 1.5, 2.0, 2.8, 4.0, 6.0])  # knots, log metres
-DIFFERENCE = np.log([0.05, 0.1, 0.2, 0.4, 0.7, 1.2, 2.0])  # knots of the difference of velocities, log m/s
+SPACING = small.log([0.4, 0.6, 0.8, 1.1, 1.5, 2.0, 2.8, 4.0, 6.0])  # knots, log metres
+DIFFERENCE = small.log([0.05, 0.1, 0.2, 0.4, 0.7, 1.2, 2.0])  # knots of the difference of velocities, log m/s
 WALKING = 0.4  # m/s from which on somebody walks
 OFFSET = 0.05  # m and m/s, keeps logarithms finite
 
@@ -191,8 +192,8 @@ def looks(walkers: Walkers, pairs: Together) -> Looks:
         return Looks(none, np.zeros((0, len(SPACING) + len(DIFFERENCE))), none, np.zeros(0, bool), none)
     s, at = steps(walkers, pairs), pairs.offsets
     frames = np.diff(at).astype(np.float64)
-    shape = np.concatenate([_hats(np.log(x), k, at) for x, k in _scales(s)], axis=1) / frames[:, None]
-    log_spacing = np.add.reduceat(np.log(s.spacing + OFFSET), at[:-1]) / frames
+    shape = np.concatenate([_hats(small.log(x), k, at) for x, k in _scales(s)], axis=1) / frames[:, None]
+    log_spacing = np.add.reduceat(small.log(s.spacing + OFFSET), at[:-1]) / frames
     strolled = np.maximum.reduceat(s.slower, at[:-1]) >= WALKING
     return Looks(frames, shape, log_spacing, strolled, np.minimum.reduceat(s.spacing, at[:-1]))
 
@@ -208,7 +209,7 @@ def running(walkers: Walkers, pairs: Together, weights: Floats) -> tuple[Floats,
     frames = (np.arange(at[-1]) - np.repeat(at[:-1], np.diff(at)) + 1).astype(np.float64)
     told, taken = np.zeros(at[-1]), 0
     for x, knots in _scales(s):
-        place, part = _place(np.log(x), knots)
+        place, part = _place(small.log(x), knots)
         w = weights[taken : taken + len(knots)]
         told += (1.0 - part) * w[place] + part * w[place + 1]
         taken += len(knots)
@@ -216,7 +217,7 @@ def running(walkers: Walkers, pairs: Together, weights: Floats) -> tuple[Floats,
     return (
         frames,
         _so_far(told, at) / frames,
-        _so_far(np.log(s.spacing + OFFSET), at) / frames,
+        _so_far(small.log(s.spacing + OFFSET), at) / frames,
         _so_far(both, at) > 0.5,
     )
 
