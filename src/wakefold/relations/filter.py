@@ -35,7 +35,7 @@ class RelationalFilter:
     Engines, all of the same model and with the same answers:
 
     - "bootstrap": Algorithm 1 of the paper; objects and relations are sampled, then weighed by what is seen.
-    - "adapted": objects are sampled given what is seen, and weighed by how likely that was.
+    - "adapted": particles are weighed by how likely is what is seen, chosen, and their objects sampled given that.
     - "rbk": relations are sampled, objects follow by Kalman filter.
     - "collapsed": the relation of each pair is summed out; for hundreds of objects. No particles, no chance.
 

@@ -48,6 +48,8 @@ def step(s: Settings, scene: Scene, scan: Detections | None, dt: float) -> Scene
     if scan is not None:
         objects, fresh, evidence, recoveries = _look(s, objects, particles, scan, rng)
     if s.engine == "adapted":
+        if scan is not None:  # before objects are drawn: copies of one particle then part at once
+            particles, pairs = redraw(particles, tuple(pairs), rng, always=False)
         _sample(particles, rng)
     _potentials(s, objects, particles, pairs, dt)
     _normalise(particles)
