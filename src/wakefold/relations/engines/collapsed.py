@@ -15,7 +15,7 @@ from wakefold.relations.activities import advance
 from wakefold.relations.detections import Detections
 from wakefold.relations.engines.association import TINY, associate
 from wakefold.relations.engines.objects import GONE, Objects, Settings, enter, exist, match, objects_of
-from wakefold.relations.engines.pairs import candidates, motions, program, refresh, relative_motions, switches
+from wakefold.relations.engines.pairs import candidates, looks, motions, program, refresh, relative_motions, switches
 from wakefold.relations.kernels import pairs as kernel
 from wakefold.relations.kernels.histories import WIDTH
 from wakefold.relations.model import Relation
@@ -100,25 +100,16 @@ def _step_pairs(
     dt: float,
 ) -> Pairs:
     p, counts = np.array(pairs.p), np.array(pairs.counts)
+    held = kernel.Held(pairs.first, pairs.second, p, counts, pairs.states)
     states = np.empty((len(pairs.states) + 2 * len(p), WIDTH))  # each mode may gain one
-    before, on, off = np.empty_like(p), np.empty_like(p), np.empty_like(p)
-    known = objects.unseen <= relation.seen_within
-    many = kernel.step(
-        pairs.first, pairs.second, p, counts, pairs.states, z, variance, seen, known, objects.mean, objects.cov,
-        relative_motions(s.model, relation, dt), switches(relation, dt), *program(relation),
-        *_evidence(relation, pairs, dt), s.histories, before, on, off, states,
-    )  # fmt: skip
+    seen_now = kernel.Seen(z, variance, seen, objects.unseen <= relation.seen_within, objects.mean, objects.cov)
+    law = kernel.Law(relative_motions(s.model, relation, dt), switches(relation, dt), *program(relation), s.histories)
+    switched = kernel.Switches(np.empty_like(p), np.empty_like(p), np.empty_like(p))
+    many = kernel.step(held, seen_now, law, looks(relation.evidence, pairs.looked, dt), switched, states)
     about = s.model.activities_of(relation)
-    stages = tuple(advance(x, before, on, off, dt, a) for x, a in zip(pairs.stages, about, strict=True))
+    stages = tuple(advance(x, *switched, dt, a) for x, a in zip(pairs.stages, about, strict=True))
     looked = pairs.looked + dt * (seen[pairs.first] & seen[pairs.second])
     return Pairs(pairs.first, pairs.second, p, looked, counts, states[:many], pairs.bits, stages)
-
-
-def _evidence(relation: Relation, pairs: Pairs, dt: float) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-    e = relation.evidence
-    if e is None:
-        return NONE, NONE, NONE, NONE, np.zeros((0, 0, 0))
-    return e.share(pairs.looked, dt), e.distance, e.relative_speed, e.speed, e.log_ratio
 
 
 def _with_company(s: Settings, pairs: list[Pairs], objects: Objects) -> tuple[Floats, Floats]:
@@ -131,8 +122,8 @@ def _with_company(s: Settings, pairs: list[Pairs], objects: Objects) -> tuple[Fl
     weight, first, second = np.zeros((n, 2)), np.zeros((n, 2, d)), np.zeros((n, 2, 2))
     for relation, p in zip(s.model.relations, pairs, strict=True):
         if relation.couples is not None:
-            args = (p.first, p.second, p.p, p.counts, p.states, unseen, objects.mean, objects.cov)
-            kernel.hidden(*args, weight, first, second)
+            held = kernel.Held(p.first, p.second, p.p, p.counts, p.states)
+            kernel.hidden(held, unseen, objects.mean, objects.cov, weight, first, second)
     told = np.flatnonzero(weight[:, 0] > 0.0)
     if not len(told):
         return mean, cov

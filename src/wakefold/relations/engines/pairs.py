@@ -14,7 +14,7 @@ from wakefold.relations.engines.objects import Objects, Settings
 from wakefold.relations.kernels import histories, turnover
 from wakefold.relations.kernels import pairs as kernel
 from wakefold.relations.kernels.predicates import truth
-from wakefold.relations.model import ConstantVelocity, Relation, RelationalModel
+from wakefold.relations.model import ConstantVelocity, PairEvidence, Relation, RelationalModel
 from wakefold.relations.motion import row
 from wakefold.relations.predicates import Predicate
 from wakefold.relations.scene import Pairs
@@ -73,6 +73,15 @@ def _program(predicate: Predicate | None) -> tuple[Ints, Floats]:
     if predicate is None:
         return np.zeros(0, dtype=np.int64), np.zeros((0, 2))
     return predicate.arrays()
+
+
+def looks(evidence: PairEvidence | None, looked: Floats, dt: float) -> kernel.Looks:
+    """What related pairs look like as kernels read it, of pairs seen for ``looked (P,)`` seconds before."""
+    e = evidence
+    if e is None:
+        none = np.zeros(0)
+        return kernel.Looks(none, none, none, np.zeros((0, 0, 0)), none)
+    return kernel.Looks(e.distance, e.relative_speed, e.speed, e.log_ratio, e.share(looked, dt))
 
 
 def candidates(positions: Floats, gate: float) -> Ints:

@@ -19,7 +19,7 @@ from wakefold.relations.detections import Detections
 from wakefold.relations.engines.association import GATE, TINY
 from wakefold.relations.engines.blocks import blocks_of, move, redraw, regroup, rows_of, summary
 from wakefold.relations.engines.objects import GONE, Objects, Settings, enter, exist, match, objects_of
-from wakefold.relations.engines.pairs import candidates, program, refresh, switches
+from wakefold.relations.engines.pairs import candidates, looks, program, refresh, switches
 from wakefold.relations.engines.unseen import chances, narrow
 from wakefold.relations.kernels import sampled as kernel
 from wakefold.relations.kernels.pairs import log_ratios
@@ -209,9 +209,10 @@ def _potentials(s: Settings, objects: Objects, particles: Particles, pairs: list
             continue
         u, w, _, _, va, vb, *_ = _relative(particles, p, objects, 0.0)
         out = np.empty(len(u))
-        log_ratios(u, w, va, vb, e.distance, e.relative_speed, e.speed, e.log_ratio, out)
+        seconds = looks(e, p.looked, dt)
+        log_ratios(u, w, va, vb, seconds, out)
         seen = (objects.unseen[p.first] == 0) & (objects.unseen[p.second] == 0)
-        gain = np.where(p.bits & seen, e.share(p.looked, dt) * out.reshape(p.bits.shape), 0.0)
+        gain = np.where(p.bits & seen, seconds.share * out.reshape(p.bits.shape), 0.0)
         for k in np.flatnonzero(seen):
             particles.log_weights[:, particles.block == particles.block[p.first[k]]] += gain[:, k, None]
 

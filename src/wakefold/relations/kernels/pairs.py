@@ -5,8 +5,10 @@ All axes share one covariance (noise is the same along each), kept as (position,
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wakefold.base.compile import inner, kernel
 from wakefold.relations.kernels.histories import MOST, WIDTH, absorb, copy, reduce
@@ -14,6 +16,87 @@ from wakefold.relations.kernels.predicates import AT_ONCE, FEATURES, evaluate
 
 FLOOR = 1e-9  # a relation is never surer than this
 SURE = 1e-5  # a mode less probable is let go, if more than that can come back in a step
+
+# Of a Gaussian being stepped, after the FEATURES that ``evaluate`` reads: covariance of position and velocity, half the
+# squared innovation over its variance, one over that variance, probability, and chance to switch.
+CROSS, MISFIT, PRECISION, WEIGHT, TURN = range(FEATURES, FEATURES + 5)
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+class Held(NamedTuple):
+    """Beliefs about P pairs.
+
+    Attributes:
+        first, second: (P,) objects.
+        p: (P,) probability of the relation.
+        counts, states: (P, 2), (H, WIDTH) how many Gaussians each pair has unrelated and related, and these.
+    """
+
+    first: Ints
+    second: Ints
+    p: Floats
+    counts: Ints
+    states: Floats
+
+
+class Seen(NamedTuple):
+    """The n objects after the detections of a step.
+
+    Attributes:
+        z, variance, seen: (n, 2), (n,), (n,) detection of each object, its variance, whether there is one.
+        known: (n,) whether an object was seen lately.
+        mean, cov: (n, 2, 2), (n, 3) the objects' own filters.
+    """
+
+    z: Floats
+    variance: Floats
+    seen: Bools
+    known: Bools
+    mean: Floats
+    cov: Floats
+
+
+class Law(NamedTuple):
+    """How a relation acts and changes within a step.
+
+    Attributes:
+        motions: (2, 7) of the relative state, unrelated and related.
+        chances: (3, 2) of switching on and off where the predicate holds, where not, and where unknown.
+        ops, numbers: of the predicate; no operations: it always holds.
+        limit: Gaussians a pair may have in each mode.
+    """
+
+    motions: Floats
+    chances: Floats
+    ops: Ints
+    numbers: Floats
+    limit: int
+
+
+class Looks(NamedTuple):
+    """What related pairs look like, as in ``relations.PairEvidence``; an empty table: nothing is known.
+
+    Attributes:
+        distances, differences, speeds, table: edges and nats per second.
+        share: (P,) seconds that the looks of this step count as.
+    """
+
+    distances: Floats
+    differences: Floats
+    speeds: Floats
+    table: Floats
+    share: Floats
+
+
+class Switches(NamedTuple):
+    """Of P pairs: probability before the switch, and of switching on and off; (P,) each."""
+
+    before: Floats
+    on: Floats
+    off: Floats
 
 
 @inner
@@ -95,11 +178,12 @@ def _bin(edges, value):
 
 
 @inner
-def _log_ratio(ux, uy, wx, wy, ax, ay, bx, by, distances, differences, speeds, table):
+def _log_ratio(ux, uy, wx, wy, ax, ay, bx, by, looks):
     """What the looks of a pair say for its being related, nats per second; arguments as in ``evaluate``."""
-    i = _bin(distances, math.sqrt(ux * ux + uy * uy))
-    j = _bin(differences, math.sqrt(wx * wx + wy * wy))
-    return table[i, j, _bin(speeds, 0.5 * (math.sqrt(ax * ax + ay * ay) + math.sqrt(bx * bx + by * by)))]
+    i = _bin(looks.distances, math.sqrt(ux * ux + uy * uy))
+    j = _bin(looks.differences, math.sqrt(wx * wx + wy * wy))
+    speed = 0.5 * (math.sqrt(ax * ax + ay * ay) + math.sqrt(bx * bx + by * by))
+    return looks.table[i, j, _bin(looks.speeds, speed)]
 
 
 @kernel
@@ -115,26 +199,24 @@ def in_common(p, first, second):
 
 
 @kernel
-def log_ratios(u, w, va, vb, distances, differences, speeds, table, out):
+def log_ratios(u, w, va, vb, looks, out):
     """``_log_ratio`` of n pairs, ``u, w, va, vb`` (n, 2)."""
     for i in range(len(u)):
         out[i] = _log_ratio(
-            u[i, 0], u[i, 1], w[i, 0], w[i, 1], va[i, 0], va[i, 1], vb[i, 0], vb[i, 1],
-            distances, differences, speeds, table,
+            u[i, 0], u[i, 1], w[i, 0], w[i, 1], va[i, 0], va[i, 1], vb[i, 0], vb[i, 1], looks
         )  # fmt: skip
 
 
 @inner
-def _move_and_see(
-    many, pair, mode, row, first, second, states, z, variance, seen, motions, f, cross, misfit, precision
-):
+def _move_and_see(many, pair, mode, row, held, objects, motions, f):
     """Objects move as their relation of before says, and are seen, in ``many`` Gaussians of pairs.
 
     Args:
-        pair, mode, row: of each Gaussian, the last in ``states``.
-        f, cross: out: as in ``evaluate``, rows 0 to 5; covariance of position and velocity.
-        misfit, precision: out: half the squared innovation over its variance, and one over that variance.
+        pair, mode, row: of each Gaussian, the last in ``held.states``.
+        f: out: (TURN + 1, AT_ONCE) rows 0 to 5, ``CROSS``, ``MISFIT`` and ``PRECISION``.
     """
+    first, second, states = held.first, held.second, held.states
+    z, variance, seen = objects.z, objects.variance, objects.seen
     for h in range(many):
         m, k = motions[mode[h]], row[h]
         ux, uy, wx, wy = states[k, 0], states[k, 1], states[k, 2], states[k, 3]
@@ -156,60 +238,61 @@ def _move_and_see(
             vv -= g1 * pv
             pp *= 1.0 - g0
             pv *= 1.0 - g0
-            misfit[h], precision[h] = 0.5 * s * (ex * ex + ey * ey), s
-        f[0, h], f[1, h], f[2, h], f[3, h], f[4, h], f[5, h], cross[h] = ux, uy, wx, wy, pp, vv, pv
+            f[MISFIT, h], f[PRECISION, h] = 0.5 * s * (ex * ex + ey * ey), s
+        f[0, h], f[1, h], f[2, h], f[3, h], f[4, h], f[5, h], f[CROSS, h] = ux, uy, wx, wy, pp, vv, pv
 
 
 @inner
-def _weigh(lo, hi, misfit, precision, weight):
+def _weigh(lo, hi, f):
     """Probabilities of the Gaussians ``lo:hi`` of a pair given what was seen, in place."""
     best = lo
     for h in range(lo + 1, hi):
-        if misfit[h] < misfit[best]:
+        if f[MISFIT, h] < f[MISFIT, best]:
             best = h
     total = 0.0
     for h in range(lo, hi):
-        weight[h] *= precision[h] if h == best else precision[h] * math.exp(misfit[best] - misfit[h])
-        total += weight[h]
+        fits = f[PRECISION, h] if h == best else f[PRECISION, h] * math.exp(f[MISFIT, best] - f[MISFIT, h])
+        f[WEIGHT, h] *= fits
+        total += f[WEIGHT, h]
     total = 1.0 / total
     for h in range(lo, hi):
-        weight[h] = max(weight[h] * total, FLOOR)
+        f[WEIGHT, h] = max(f[WEIGHT, h] * total, FLOOR)
 
 
 @inner
-def _row(h, f, cross, weight, row):
+def _row(h, f, weight, row):
     """The Gaussian at ``h`` with a probability, as a row."""
     row[0], row[1], row[2], row[3] = f[0, h], f[1, h], f[2, h], f[3, h]
-    row[4], row[5], row[6], row[7] = f[4, h], cross[h], f[5, h], weight
+    row[4], row[5], row[6], row[7] = f[4, h], f[CROSS, h], f[5, h], weight
 
 
 @inner
-def _mode(stay, stays, come, comes, turn, f, cross, weight, limit, rows, at, one, inverse):
+def _mode(stay, stays, come, comes, f, limit, rows, at, one, inverse):
     """Gaussians of a mode after a switch, into ``rows`` from ``at`` on: those that stayed and, as one, those that came.
 
     Args:
         stay, stays: the Gaussians ``stay:stays`` were of this mode; ``come:comes`` of the other.
-        turn: chance at which each of them switches.
+        one, inverse: to work on.
 
     Returns:
         How many there are, and their probability.
     """
     many, total = 0, 0.0
     for h in range(stay, stays):
-        share = weight[h] * (1.0 - turn[h])
+        share = f[WEIGHT, h] * (1.0 - f[TURN, h])
         if share > 0.0:
             total += share
-            _row(h, f, cross, share, rows[at + many])
+            _row(h, f, share, rows[at + many])
             many += 1
     here = many
     for h in range(come, comes):
-        share = weight[h] * turn[h]
+        share = f[WEIGHT, h] * f[TURN, h]
         if share > FLOOR * total:
             if many == here:
-                _row(h, f, cross, share, rows[at + here])
+                _row(h, f, share, rows[at + here])
                 many += 1
             else:
-                _row(h, f, cross, share, one)
+                _row(h, f, share, one)
                 absorb(rows[at + here], one)
     if many > here:
         total += rows[at + here, 7]
@@ -223,11 +306,7 @@ def _chance(way, yes, known, chances):
 
 
 @kernel
-def step(
-    first, second, p, counts, states, z, variance, seen, known, objects, spread,
-    motions, chances, ops, numbers, share, distances, differences, speeds, table, limit,
-    before, on, off, out,
-):  # fmt: skip
+def step(held, objects, law, looks, switched, out):
     """Beliefs about P pairs after a step of time and the detections of both objects, in place.
 
     A pair is a switching linear system of two modes, unrelated (0) and related (1), over its relative state (second
@@ -237,56 +316,46 @@ def step(
     many as have ``AT_ONCE`` Gaussians, so that the predicate is interpreted once for all of them.
 
     Args:
-        first, second: (P,) objects.
-        p: (P,) probability of the relation.
-        counts, states: (P, 2), (H, WIDTH) how many Gaussians each pair has unrelated and related, and these.
-        z, variance, seen: (n, 2), (n,), (n,) detection of each object, its variance, whether there is one.
-        known: (n,) whether an object was seen lately.
-        objects, spread: (n, 2, 2), (n, 3) the objects' own filters, after the detections.
-        motions: (2, 7) of the relative state in both modes.
-        chances: (3, 2) of switching on and off within the step where the predicate holds, where not, and where unknown.
-        ops, numbers: of the predicate; no operations: it always holds.
-        share: (P,) seconds that the looks of this step count as.
-        distances, differences, speeds, table: of its evidence; an empty table: none.
-        limit: Gaussians a pair may have in each mode.
-        before, on, off: (P,) out: probability before the switch, and of switching on and off.
+        held: the pairs before; ``p`` and ``counts`` are those after the step then.
+        objects, law, looks: see there.
+        switched: out.
         out: (H + 2 P, WIDTH) out: the Gaussians after the step.
 
     Returns:
         How many rows of ``out`` there are.
     """
+    first, second, p, counts, states = held.first, held.second, held.p, held.counts, held.states
+    seen, known, mean, cov = objects.seen, objects.known, objects.mean, objects.cov
+    chances, limit, share = law.chances, law.limit, looks.share
+    before, on, off = switched.before, switched.on, switched.off
     pair, mode = np.empty(AT_ONCE, dtype=np.int64), np.empty(AT_ONCE, dtype=np.int64)
     row, until = np.empty(AT_ONCE, dtype=np.int64), np.empty(AT_ONCE, dtype=np.int64)
-    f, stack = np.empty((FEATURES, AT_ONCE)), np.empty((max(len(ops), 1), AT_ONCE))
-    cross, weight, turn = np.empty(AT_ONCE), np.empty(AT_ONCE), np.empty(AT_ONCE)
-    misfit, precision = np.zeros(AT_ONCE), np.ones(AT_ONCE)
+    f, stack = np.empty((TURN + 1, AT_ONCE)), np.empty((max(len(law.ops), 1), AT_ONCE))
+    f[MISFIT], f[PRECISION] = 0.0, 1.0
     one, inverse = np.empty(WIDTH), np.empty(MOST + 1)
     returns = chances[0, 0] > SURE, min(chances[0, 1], chances[1, 1]) > SURE
-    looks = table.size > 0
+    looked = looks.table.size > 0
     lo = at = to = 0
     while lo < len(first):
         hi, many = lo, 0
         while hi < len(first) and many + counts[hi, 0] + counts[hi, 1] <= AT_ONCE:
             for h in range(counts[hi, 0] + counts[hi, 1]):
                 pair[many], row[many], mode[many] = hi, at, 1 if h >= counts[hi, 0] else 0
-                weight[many] = states[at, 7]
+                f[WEIGHT, many] = states[at, 7]
                 many += 1
                 at += 1
             hi += 1
-        _move_and_see(
-            many, pair, mode, row, first, second, states, z, variance, seen, motions, f, cross, misfit, precision
-        )
+        _move_and_see(many, pair, mode, row, held, objects, law.motions, f)
         for h in range(many):
             a, b = first[pair[h]], second[pair[h]]
-            f[6, h], f[7, h], f[8, h], f[9, h] = objects[a, 1, 0], objects[a, 1, 1], objects[b, 1, 0], objects[b, 1, 1]
-            f[10, h], f[11, h], f[12, h] = spread[a, 2], spread[b, 2], 1.0
-            if looks and mode[h] == 1 and seen[a] and seen[b]:
-                misfit[h] -= share[pair[h]] * _log_ratio(
-                    f[0, h], f[1, h], f[2, h], f[3, h], f[6, h], f[7, h], f[8, h], f[9, h],
-                    distances, differences, speeds, table,
+            f[6, h], f[7, h], f[8, h], f[9, h] = mean[a, 1, 0], mean[a, 1, 1], mean[b, 1, 0], mean[b, 1, 1]
+            f[10, h], f[11, h], f[12, h] = cov[a, 2], cov[b, 2], 1.0
+            if looked and mode[h] == 1 and seen[a] and seen[b]:
+                f[MISFIT, h] -= share[pair[h]] * _log_ratio(
+                    f[0, h], f[1, h], f[2, h], f[3, h], f[6, h], f[7, h], f[8, h], f[9, h], looks
                 )  # fmt: skip
-        if len(ops) > 0:
-            evaluate(ops, numbers, many, f, until, stack)
+        if len(law.ops) > 0:
+            evaluate(law.ops, law.numbers, many, f, until, stack)
         else:
             stack[0, :many] = 1.0
         start = 0
@@ -294,42 +363,28 @@ def step(
             a, b = first[i], second[i]
             middle, end = start + counts[i, 0], start + counts[i, 0] + counts[i, 1]
             if end > start + 1 and seen[a] and seen[b]:
-                _weigh(start, end, misfit, precision, weight)
+                _weigh(start, end, f)
             sure = known[a] and known[b]
             none = some = turned_on = turned_off = 0.0
             for h in range(start, end):
-                turn[h] = _chance(mode[h], stack[0, h], sure, chances)
+                f[TURN, h] = _chance(mode[h], stack[0, h], sure, chances)
                 if h < middle:
-                    none += weight[h]
-                    turned_on += weight[h] * turn[h]
+                    none += f[WEIGHT, h]
+                    turned_on += f[WEIGHT, h] * f[TURN, h]
                 else:
-                    some += weight[h]
-                    turned_off += weight[h] * turn[h]
+                    some += f[WEIGHT, h]
+                    turned_off += f[WEIGHT, h] * f[TURN, h]
             before[i] = min(max(some / (none + some), FLOOR), 1.0 - FLOOR)
             # a mode without a Gaussian switches as the other would
             on[i] = turned_on / none if none > 0.0 else _chance(0, stack[0, start], sure, chances)
             off[i] = turned_off / some if some > 0.0 else _chance(1, stack[0, start], sure, chances)
             if end == start + 1 and turned_on + turned_off < SURE:
-                _row(start, f, cross, 1.0, out[to])
+                _row(start, f, 1.0, out[to])
                 p[i] = 1.0 - FLOOR if counts[i, 1] else FLOOR
                 to += 1
             else:
-                off_many, none = _mode(start, middle, middle, end, turn, f, cross, weight, limit, out, to, one, inverse)
-                on_many, some = _mode(
-                    middle,
-                    end,
-                    start,
-                    middle,
-                    turn,
-                    f,
-                    cross,
-                    weight,
-                    limit,
-                    out,
-                    to + off_many,
-                    one,
-                    inverse,
-                )
+                off_many, none = _mode(start, middle, middle, end, f, limit, out, to, one, inverse)
+                on_many, some = _mode(middle, end, start, middle, f, limit, out, to + off_many, one, inverse)
                 if some < SURE and returns[0]:
                     on_many, some = 0, 0.0
                 elif none < SURE and returns[1]:
@@ -348,25 +403,25 @@ def step(
 
 
 @kernel
-def hidden(first, second, p, counts, states, unseen, objects, spread, weight, out_mean, out_cov):
+def hidden(held, unseen, objects, spread, weight, out_mean, out_cov):
     """Where related objects that are seen put a hidden one: weighted sums over its pairs, into the outputs.
 
     Args:
-        p, counts, states: (P,), (P, 2), (H, WIDTH) as in ``step``.
+        held: the pairs.
         unseen: (n,) whether an object is hidden.
         objects, spread: (n, 2, 2), (n, 3) the objects' own filters.
         weight: (n, 2) out: sum of the probabilities of relations to seen objects; log probability that none holds.
         out_mean, out_cov: (n, 2, 2), (n, 2, 2) out: sums of mean, and of second moments averaged over the axes.
     """
-    at = 0
-    for i in range(len(first)):
-        a, b = first[i], second[i]
+    at, counts, states = 0, held.counts, held.states
+    for i in range(len(held.first)):
+        a, b = held.first[i], held.second[i]
         start, at = at + counts[i, 0], at + counts[i, 0] + counts[i, 1]
         if unseen[a] == unseen[b]:
             continue
         h, o, sign = (b, a, 1.0) if unseen[b] else (a, b, -1.0)
         if at > start:
-            weight[h, 1] += math.log1p(-p[i])
+            weight[h, 1] += math.log1p(-held.p[i])
         for j in range(start, at):
             w = states[j, 7]
             weight[h, 0] += w
