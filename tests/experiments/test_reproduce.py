@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from wakefold.base.parallel import Threads
 from wakefold.cli import app
 from wakefold.experiments import registry, stats
-from wakefold.experiments.mhpf import fig7a, fig7b, fig9, grid, mse
+from wakefold.experiments.mhpf import fig2, fig7a, fig7b, fig9, grid, mse
 from wakefold.experiments.registry import FIGURES, QUICK, Claim, Job, Section, Size, experiment
 from wakefold.experiments.reproduce import reproduce
 
@@ -58,7 +58,13 @@ def test_pictures_and_their_page(tmp_path):
     assert not found.open
     assert found.found == len(PICTURES)
     assert "too few runs for any verdict" in text
-    assert any(line.startswith("fig2: After every update") for line in said)
+    assert any(line.startswith("fig2: The report makes the class it names more probable") for line in said)
+
+
+def test_a_report_that_does_not_raise_its_class_fails_figure_2():
+    before = {"before the report": 0.4}
+    assert fig2._raised(before | {"gsi2017": 0.7, "arxiv2016": 0.5}).verdict == "holds"
+    assert fig2._raised(before | {"gsi2017": 0.7, "arxiv2016": 0.4}).verdict == "does not hold"
 
 
 @pytest.mark.parametrize(

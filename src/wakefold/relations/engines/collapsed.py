@@ -14,8 +14,17 @@ from wakefold.base import small
 from wakefold.relations.activities import advance
 from wakefold.relations.detections import Detections
 from wakefold.relations.engines.association import TINY, associate
-from wakefold.relations.engines.objects import GONE, Objects, Settings, enter, exist, match, objects_of
-from wakefold.relations.engines.pairs import candidates, looks, motions, program, refresh, relative_motions, switches
+from wakefold.relations.engines.objects import Objects, Settings, enter, exist, match, objects_of
+from wakefold.relations.engines.pairs import (
+    candidates,
+    looks,
+    motions,
+    program,
+    refresh,
+    relative_motions,
+    staying,
+    switches,
+)
 from wakefold.relations.kernels import pairs as kernel
 from wakefold.relations.kernels.histories import WIDTH
 from wakefold.relations.model import Relation
@@ -58,8 +67,7 @@ def step(s: Settings, scene: Scene, scan: Detections | None, dt: float) -> Scene
     pairs = [
         _step_pairs(s, r, p, objects, z, variance, seen, dt) for r, p in zip(model.relations, scene.pairs, strict=True)
     ]
-    stays = (objects.existence >= GONE) & (objects.unseen <= s.forget)
-    place = np.where(stays, np.cumsum(stays) - 1, -1)
+    stays, place = staying(objects, s.forget)
     if not stays.all():
         objects = objects.keep(stays)
     if scan is not None:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wakefold.relations.activities import begin
-from wakefold.relations.engines.objects import Objects, Settings
+from wakefold.relations.engines.objects import GONE, Objects, Settings
 from wakefold.relations.kernels import histories, turnover
 from wakefold.relations.kernels import pairs as kernel
 from wakefold.relations.kernels.predicates import truth
@@ -23,6 +23,12 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 HYSTERESIS = 1.25  # a pair is let go at this many gates
+
+
+def staying(objects: Objects, forget: float) -> tuple[NDArray[np.bool_], Ints]:
+    """Which objects are kept: they may exist and were seen ``forget`` seconds ago at most; new place of each, or -1."""
+    stays = (objects.existence >= GONE) & (objects.unseen <= forget)
+    return stays, np.where(stays, np.cumsum(stays) - 1, -1)
 
 
 def motions(model: RelationalModel, kinds: Ints, dt: float) -> Floats:
@@ -43,6 +49,12 @@ def relative_motions(model: RelationalModel, relation: Relation, dt: float) -> F
     alone = row(0.0, 0.0, apart, dt)
     how = relation.couples
     return np.array([alone, alone if how is None else row(how.k, how.pull, how.noise**2, dt)])
+
+
+def settled_variance(relation: Relation) -> float | None:
+    """Variance per axis of the difference in velocity of two who have long been related; None: there is no law."""
+    how = relation.couples
+    return None if how is None or how.k <= 0.0 else how.noise**2 / (2.0 * how.k)
 
 
 def switches(relation: Relation, dt: float) -> Floats:
@@ -164,9 +176,9 @@ def begun(first: Ints, second: Ints, relation: Relation, s: Settings, objects: O
     states = np.empty((count, 2, histories.WIDTH))
     states[:, :, :4], states[:, :, 4:7] = mean.reshape(count, 1, 4), cov[:, None]
     states[:, 0, 7], states[:, 1, 7] = 1.0 - p, p
-    how = relation.couples
-    if how is not None and how.k > 0.0:  # the law of the difference in the long run, as if measured: 0 m/s with this sd
-        total = cov[:, 2] + how.noise**2 / (2.0 * how.k)
+    settled = settled_variance(relation)
+    if settled is not None:  # as if the difference had been measured: 0 m/s
+        total = cov[:, 2] + settled
         pull = cov[:, 1:3] / total[:, None]  # of position and velocity
         states[:, 1, :4] -= (pull[:, :, None] * mean[:, 1:2]).reshape(count, 4)
         states[:, 1, 4:7] -= np.column_stack([pull[:, 0] * cov[:, 1], pull[:, 0] * cov[:, 2], pull[:, 1] * cov[:, 2]])

@@ -18,8 +18,8 @@ from wakefold.relations.activities import advance
 from wakefold.relations.detections import Detections
 from wakefold.relations.engines.association import GATE, TINY
 from wakefold.relations.engines.blocks import blocks_of, move, redraw, regroup, rows_of, summary
-from wakefold.relations.engines.objects import GONE, Objects, Settings, enter, exist, match, objects_of
-from wakefold.relations.engines.pairs import candidates, looks, program, refresh, switches
+from wakefold.relations.engines.objects import Objects, Settings, enter, exist, match, objects_of
+from wakefold.relations.engines.pairs import candidates, looks, program, refresh, settled_variance, staying, switches
 from wakefold.relations.engines.unseen import chances, narrow
 from wakefold.relations.kernels import sampled as kernel
 from wakefold.relations.kernels.pairs import log_ratios
@@ -268,8 +268,7 @@ def _turnover(
     """Objects leave and enter, pairs are let go and taken up, blocks follow; ``objects`` as the particles then say."""
     mean, cov = summary(particles)
     objects = objects._replace(mean=mean, cov=cov)
-    stays = (objects.existence >= GONE) & (objects.unseen <= s.forget)
-    place = np.where(stays, np.cumsum(stays) - 1, -1)
+    stays, place = staying(objects, s.forget)
     if not stays.all():
         kept = np.flatnonzero(stays)
         rows = rows_of(kept, len(stays))
@@ -344,8 +343,8 @@ def _edges(s: Settings, objects: Objects, particles: Particles, near: Ints) -> t
 
 def _settle(relation: Relation, p: Pairs, particles: Particles, new: Ints) -> None:
     """New objects that start related: their velocities differ as those of long related objects do, in place."""
-    how = relation.couples
-    if how is None or how.k <= 0.0:
+    settled = settled_variance(relation)
+    if settled is None:
         return
     n = particles.mean.shape[2]
     for k in new:
@@ -354,7 +353,7 @@ def _settle(relation: Relation, p: Pairs, particles: Particles, new: Ints) -> No
             continue
         cov = particles.cov[at]
         column = cov[:, :, b] - cov[:, :, a]
-        s = column[:, b] - column[:, a] + how.noise**2 / (2.0 * how.k)
+        s = column[:, b] - column[:, a] + settled
         gain = column / s[:, None]
         flat = particles.mean[at].reshape(len(at), 2 * n, -1)
         flat = flat - gain[:, :, None] * (flat[:, b] - flat[:, a])[:, None]
