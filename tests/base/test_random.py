@@ -43,9 +43,13 @@ def test_normals_are_box_and_muller_of_the_uniforms(key, count):
 
 @pytest.mark.parametrize(("fill", "law"), [(uniforms, "uniform"), (normals, "norm")])
 def test_the_law_of_many_numbers(fill, law):
+    """False alarms, were the key another: 1e-4 by the first line, 1e-5 each by the others (4.5 sd).
+
+    A distribution function that is off by .008 anywhere, or a variance by 3 %, is found with probability .99.
+    """
     out = np.empty(200_000)
     fill(np.array([2016, 11], np.uint64), 3, 2, out)
-    assert kstest(out, law).pvalue > 0.001
+    assert kstest(out, law).pvalue > 1e-4
     assert abs(np.corrcoef(out[:-1], out[1:])[0, 1]) < 0.01
     if law == "norm":
         assert out.mean() == pytest.approx(0.0, abs=0.01)

@@ -39,7 +39,11 @@ def test_near_and_slow_counts_the_longest_time_without_a_break():
 
 @pytest.mark.parametrize(("missing", "least"), [(0.0, 0.95), (0.6, 0.9)])
 def test_ships_that_meet_are_told_in_phases(missing, least):
-    some = scenes(60, HARD, 200.0, np.random.default_rng(3), missing=missing)
+    """F1 over seeds of 60 scenes: .986 (sd .016) and .979 (.018), so of 240 the bounds are 4.6 and 9 sd away.
+
+    The ratio of the errors is .90 and .91 (sd .013 or less).
+    """
+    some = scenes(240, HARD, 200.0, np.random.default_rng(3), missing=missing)
     p, odds, place = phases(some, 200.0)
     assert f1(odds > 0.0, some.positive) > least
     np.testing.assert_allclose(p.sum(axis=2), 1.0)

@@ -453,7 +453,9 @@ def forks(astray, seed=0):
 
 
 def test_the_power_is_low_where_what_is_seen_early_misleads():
-    powers = [wf.Deviation.learn(wf.learn(forks(astray), sd=0.1)).power for astray in (0.0, 0.5, 1.0)]
+    """Mean over twelve seeds; one has 1, .57 (sd .16) and .34 (.07): 4.6 sd of the mean apart and more."""
+    runs = [[wf.learn(forks(astray, seed), sd=0.1) for astray in (0.0, 0.5, 1.0)] for seed in range(12)]
+    powers = np.mean([[wf.Deviation.learn(m).power for m in run] for run in runs], axis=0)
     assert powers[0] == 1.0
     assert powers[0] > powers[1] > powers[2] > 0.1
     apart = wf.learn(wf.Tracks.from_arrays([np.stack([np.arange(9.0), np.full(9, y)], axis=1) for y in (0, 1, 2)]))

@@ -1,8 +1,9 @@
 """Exact oracles: where the true posterior is known, the filters must agree with it within Monte Carlo error.
 
-200 seeds; the mean over the seeds must lie within 4 standard errors of the exact answer (about 1 in 16,000 for each
-comparison if the filter is right and the error normal). A particle filter's own bias is O(1/N): N is chosen so that it
-is well below the standard error.
+200 seeds; the mean over the seeds must lie within 5 standard errors of the exact answer: for each of the 6 numbers of a
+test 1.3e-6 if the filter is right (Student's t), together below 1e-5. A mean that is off by a run's standard deviation
+over two is 7 standard errors away, and found with probability .98. A particle filter's own bias is O(1/N): N is chosen
+so that it is well below the standard error.
 """
 
 import math
@@ -48,11 +49,11 @@ def observations(rng, velocity, steps):
 
 
 def within(values, exact, what):
-    """The mean over seeds within 4 standard errors of the exact answer."""
+    """The mean over seeds within 5 standard errors of the exact answer."""
     values = np.asarray(values)
     error = values.std(axis=0, ddof=1) / math.sqrt(len(values))
     gap = np.abs(values.mean(axis=0) - exact)
-    assert (gap <= 4 * error + 1e-12).all(), f"{what}: {values.mean(axis=0)} against {exact}, standard error {error}"
+    assert (gap <= 5 * error + 1e-12).all(), f"{what}: {values.mean(axis=0)} against {exact}, standard error {error}"
 
 
 @pytest.mark.parametrize("kind", ["MHPF arxiv2016", "MHPF gsi2017", "BL1", "BL2"])

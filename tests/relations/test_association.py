@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+from bounds import fewest
 
 import wakefold as wf
 from wakefold.relations.engines.association import k_best
@@ -25,16 +26,24 @@ def test_a_pull_keeps_a_pair_at_its_spacing_in_the_long_run():
 
 @pytest.mark.parametrize("engine", ["bootstrap", "adapted", "rbk", "collapsed"])
 def test_two_without_names_keep_their_tracks(engine):
+    """In 19 of 20 seeds of filter and detections by "bootstrap", by the others in all: positions within .24 m.
+
+    An engine that loses a track in half of the seeds fails with probability .996 ("bootstrap": .59 at half, .998 at
+    three in four).
+    """
     model = wf.RelationalModel({"person": wf.ConstantVelocity(q=0.3, speed=0.8)})
-    f = wf.RelationalFilter(model, engine, particles=300, gate=6.0)
-    scene, rng = f.start(), np.random.default_rng(0)
-    for k in range(15):
-        at = np.array([[0.4 * k, 0.0], [0.4 * k, 2.0]])
-        z = (at + 0.1 * rng.normal(size=at.shape))[rng.permutation(2)]
-        scene = f.step(scene, wf.Detections(z, sd=0.1, detect_prob=0.98, clutter=1e-4), dt=0.4)
-    tracks = scene.tracks()
-    assert len(tracks.ids) == 2
-    np.testing.assert_allclose(tracks.position[np.argsort(tracks.position[:, 1])], at, atol=0.5)
+    kept = 0
+    for seed in range(20):
+        f = wf.RelationalFilter(model, engine, particles=300, gate=6.0, seed=seed)
+        scene, rng = f.start(), np.random.default_rng(seed)
+        for k in range(15):
+            at = np.array([[0.4 * k, 0.0], [0.4 * k, 2.0]])
+            z = (at + 0.1 * rng.normal(size=at.shape))[rng.permutation(2)]
+            scene = f.step(scene, wf.Detections(z, sd=0.1, detect_prob=0.98, clutter=1e-4), dt=0.4)
+        tracks = scene.tracks()
+        if len(tracks.ids) == 2:
+            kept += bool(np.abs(tracks.position[np.argsort(tracks.position[:, 1])] - at).max() < 0.5)
+    assert kept >= fewest(20, 0.85 if engine == "bootstrap" else 0.97)
 
 
 def test_somebody_unseen_is_where_one_cannot_see():

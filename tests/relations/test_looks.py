@@ -53,8 +53,9 @@ def run(f, t, fixes, there, names=(0, 1), others=None):
 @pytest.mark.parametrize("fade", [0.0, 0.4])
 @pytest.mark.parametrize(("engine", "within"), [("collapsed", 1e-9), ("rbk", 0.04)])
 def test_looks_add_up_as_in_a_plain_loop(engine, within, fade):
+    """Sampled relations have sd .0085 about the plain loop (.012 with 2,000 particles): false alarms 3e-6."""
     t, fixes, there = walk(25)
-    f = wf.RelationalFilter(model(looks(fade)), engine, particles=2000)
+    f = wf.RelationalFilter(model(looks(fade)), engine, particles=4000)
     scenes = run(f, t, fixes, there)
     own = np.array([s.own_mean if engine == "collapsed" else s.mean for s in scenes[1:]])
     relative = own[:, 1] - own[:, 0]

@@ -3,6 +3,7 @@
 import naive
 import numpy as np
 import pytest
+from bounds import fewest
 from test_relational import ENGINES, follow, pair_model, walkers
 
 import wakefold as wf
@@ -107,7 +108,11 @@ def test_who_follows_gives_way_alone():
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_the_follower_is_told_from_the_leader(engine):
-    """One walks a metre behind another who turns: that the first follows the second is likelier than the other way."""
+    """One walks a metre behind another: that the first follows the second is likelier than the other way.
+
+    Mean over eight seeds of filter and detections; one run has .99 and 0, sd .008 or less ("bootstrap": .044): a bound
+    is 11 sd of the mean away. An engine that cannot tell gives both the same.
+    """
     follows = wf.Relation(
         "follows",
         ("person", "person"),
@@ -117,13 +122,16 @@ def test_the_follower_is_told_from_the_leader(engine):
         couples=follow_velocity(k=1.0, noise=0.2),
     )
     model = wf.RelationalModel({"person": wf.ConstantVelocity(q=0.3, speed=1.0)}, [follows])
-    f = wf.RelationalFilter(model, engine, particles=400, gate=5.0)
     t = 0.4 * np.arange(20)
-    fixes = np.stack([np.column_stack([1.2 * t, 0 * t]), np.column_stack([1.2 * t + 1.2, 0 * t])], axis=1)
-    fixes = fixes + 0.05 * np.random.default_rng(0).normal(size=fixes.shape)
-    scene = follow(f, fixes, sd=0.05)
-    assert scene.probability("follows", 0, 1) > 0.8
-    assert scene.probability("follows", 1, 0) < 0.2
+    path = np.stack([np.column_stack([1.2 * t, 0 * t]), np.column_stack([1.2 * t + 1.2, 0 * t])], axis=1)
+    found = []
+    for seed in range(8):
+        f = wf.RelationalFilter(model, engine, particles=400, gate=5.0, seed=seed)
+        scene = follow(f, path + 0.05 * np.random.default_rng(seed).normal(size=path.shape), sd=0.05)
+        found.append([scene.probability("follows", 0, 1), scene.probability("follows", 1, 0)])
+    behind, before = np.mean(found, axis=0)
+    assert behind > 0.8
+    assert before < 0.2
 
 
 def several():
@@ -197,13 +205,20 @@ def test_several_relations_are_found(engine, particles, seeds):
 
 @pytest.mark.parametrize("engine", PARTICLES)
 def test_three_related_in_a_chain_hold_together(engine):
-    """Groups of three: everybody is tied to everybody, and the motion of all is one block."""
-    f = wf.RelationalFilter(pair_model(prior=0.5), engine, particles=100, gate=5.0)
+    """Groups of three: everybody is tied to everybody, and the motion of all is one block.
+
+    The group is found in all of 20 seeds by "rbk", in 18 by "adapted" and 15 by "bootstrap": three people are many for
+    100 samples. A filter that finds it in one seed of 20 passes with probability .016 ("rbk": 1e-9).
+    """
     fixes = np.concatenate([walkers(steps=10), walkers(seed=2, steps=10)[:, 1:] + [0.0, 0.8]], axis=1)
-    scene = follow(f, fixes, ids=[0, 1, 2])
-    assert finite(scene)
-    assert len(np.unique(scene.particles.block)) == 1
-    assert scene.groups() == [[0, 1, 2]]
+    found = 0
+    for seed in range(20):
+        f = wf.RelationalFilter(pair_model(prior=0.5), engine, particles=100, gate=5.0, seed=seed)
+        scene = follow(f, fixes, ids=[0, 1, 2])
+        assert finite(scene)
+        assert len(np.unique(scene.particles.block)) == 1
+        found += scene.groups() == [[0, 1, 2]]
+    assert found >= fewest(20, 0.9 if engine == "rbk" else 0.6)
 
 
 def test_merging_pairs_is_that_of_sets():
