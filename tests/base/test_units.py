@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from wakefold.base.units import metres, seconds, timestamp
+from wakefold.base.units import metres, metres_per_second, seconds, timestamp
 
 
 @pytest.mark.parametrize(
@@ -38,6 +38,13 @@ def test_lengths(given, expected):
 def test_what_is_not_a_duration_is_refused(bad):
     with pytest.raises(ValueError, match="duration"):
         seconds(bad)
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"), [(1, 1.0), ("3.6 km/h", 1.0), ("2kn", 3704 / 3600), ("1 knots", 1852 / 3600)]
+)
+def test_speeds(given, expected):
+    assert metres_per_second(given) == expected
 
 
 def test_minutes_are_not_metres():

@@ -172,6 +172,22 @@ def test_a_forecast_shows_all_it_is_given(tracks):
         plot.forecast(tracks, [0, 0], [])
 
 
+def test_a_legend_stays_inside_a_narrow_picture():
+    north = Tracks.from_arrays([[[0.0, 0.0], [x, 9000.0]] for x in (0.0, 50.0, 2000.0)])
+    tree, going = Filtration.fit(north), np.linspace([0.0, 0.0], [0.0, 9000.0], 10)
+    ahead = [plot.Ahead(s, going[-2:], truth=[0, 8000], constant_velocity=[0, 7000]) for s in (300, 900)]
+    share = np.full((1, 3), 1 / 3)
+    for figure in (
+        plot.forecast(north, going[:5], ahead, truth=going[4:]),
+        plot.filtration(north, tree, 100.0),
+        plot.beliefs(north, tree, moments(north, tree, [100.0], share)),
+    ):
+        figure.draw_without_rendering()
+        legend = figure.legends[0].get_window_extent()
+        assert 0 <= legend.x0 < legend.x1 <= figure.bbox.width
+        assert legend.y0 >= 0
+
+
 @pytest.mark.parametrize(("lon", "lat"), [(-74.0, 40.6), (179.99, -17.0), (25.0, 89.99), (0.0, -90.0), (-180.0, 0.0)])
 def test_the_frame_tells_degrees(lon, lat):
     plane = Projection(lon, lat)

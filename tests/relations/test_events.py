@@ -208,3 +208,21 @@ def test_a_damaged_list_of_berths_is_named(tmp_path):
     done = CliRunner().invoke(cli.app, ["relations", "none.csv", "--berths", str(tmp_path / "none")])
     assert done.exit_code == 1
     assert "none" in done.stderr
+
+
+def test_the_place_of_a_planar_event_is_not_called_degrees(tmp_path):
+    made = swinging()
+    tracks = wf.Tracks.from_arrays(list(made), [made.times_of(i) for i in range(len(made))], made.ids.tolist())
+    file, out = tmp_path / "planar.csv", tmp_path / "events.csv"
+    wf.write_tracks(tracks, file)
+    done = CliRunner().invoke(cli.app, ["relations", str(file), "-o", str(out), "--json"])
+    assert done.exit_code == 0, done.stderr
+    with out.open() as rows:
+        read = list(csv.DictReader(rows))
+    assert read
+    for row in (*read, *json.loads(done.stdout)["events"]):
+        assert {"x", "y"} <= row.keys()
+        assert not {"lon", "lat"} & row.keys()
+    refused = CliRunner().invoke(cli.app, ["relations", str(file), "-o", str(tmp_path / "events.geojson")])
+    assert refused.exit_code == 2
+    assert "planar" in refused.stderr

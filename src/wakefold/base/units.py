@@ -1,4 +1,4 @@
-"""Durations, lengths and times as people write them, turned into seconds and metres."""
+"""Durations, lengths, speeds and times as people write them, turned into seconds and metres; units of both."""
 
 from __future__ import annotations
 
@@ -12,10 +12,15 @@ Duration = float | str | timedelta | np.timedelta64
 Length = float | str
 Time = float | str | date | np.datetime64  # a datetime is a date
 
+HOUR, DAY = 3600.0, 86400.0  # seconds
+NAUTICAL_MILE = 1852.0  # metres
+KNOT = NAUTICAL_MILE / HOUR  # metres per second
+
 _SECONDS = {"ms": 1e-3, "s": 1.0, "sec": 1.0, "second": 1.0, "min": 60.0, "minute": 60.0}
-_SECONDS |= {"h": 3600.0, "hr": 3600.0, "hour": 3600.0, "d": 86400.0, "day": 86400.0}
-_METRES = {"m": 1.0, "metre": 1.0, "meter": 1.0, "km": 1000.0, "nmi": 1852.0, "ft": 0.3048}
-_PART = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*([a-z]*)\s*")
+_SECONDS |= {"h": HOUR, "hr": HOUR, "hour": HOUR, "d": DAY, "day": DAY}
+_METRES = {"m": 1.0, "metre": 1.0, "meter": 1.0, "km": 1000.0, "nmi": NAUTICAL_MILE, "ft": 0.3048}
+_SPEEDS = {"m/s": 1.0, "km/h": 1 / 3.6, "kn": KNOT, "knot": KNOT}
+_PART = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)\s*([a-z/]*)\s*")
 
 
 def seconds(duration: Duration) -> float:
@@ -28,7 +33,7 @@ def seconds(duration: Duration) -> float:
         return _checked(duration.total_seconds(), duration, "a duration")
     if isinstance(duration, np.timedelta64):
         return _checked(float(duration / np.timedelta64(1, "s")), duration, "a duration")
-    return _measure(duration, _SECONDS, 's", "30min", "1h 30min', "a duration")
+    return _measure(duration, _SECONDS, '"200s", "30min", "1h 30min"', "a duration")
 
 
 def metres(length: Length) -> float:
@@ -37,7 +42,16 @@ def metres(length: Length) -> float:
     Raises:
         ValueError: not a length, negative or not finite.
     """
-    return _measure(length, _METRES, 'm", "1.5km", "2nmi', "a length")
+    return _measure(length, _METRES, '"200m", "1.5km", "2nmi"', "a length")
+
+
+def metres_per_second(speed: float | str) -> float:
+    """A speed in metres per second: 1, "1", "1m/s", "3.6 km/h", "2kn" (knots).
+
+    Raises:
+        ValueError: not a speed, negative or not finite.
+    """
+    return _measure(speed, _SPEEDS, '"2kn", "1m/s"', "a speed")
 
 
 def timestamp(time: Time) -> float:
@@ -78,7 +92,7 @@ def _measure(value: float | str, units: dict[str, float], examples: str, what: s
                 break
             total, position = total + float(part[1]) * units[unit], part.end()
         if position == 0 or position != len(text):
-            raise ValueError(f'{value!r} is not {what} such as "200{examples}"') from None
+            raise ValueError(f"{value!r} is not {what} such as {examples}") from None
         return _checked(total, value, what)
 
 

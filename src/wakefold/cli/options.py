@@ -69,6 +69,14 @@ def duration(option: str, text: str) -> float:
     return value if value > 0 else wrong(option, "must be above 0")
 
 
+def speed(option: str, text: str) -> float:
+    """Metres per second, above 0."""
+    from wakefold.base.units import metres_per_second
+
+    value = parsed(option, metres_per_second, text)
+    return value if value > 0 else wrong(option, "must be above 0")
+
+
 def levels(text: str) -> int | list[float]:
     """``3`` is a number of levels; ``500m`` and ``500,2000`` are heights, metres, rising."""
     if text.strip().isdigit():

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import re
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -20,20 +19,6 @@ if TYPE_CHECKING:
     from wakefold.relations.events.events import Event, Found
     from wakefold.tracks.projection import Projection
 
-KNOTS = {"kn": 1852 / 3600, "m/s": 1.0, "km/h": 1 / 3.6}
-COLUMNS: list[str] = [
-    "kind",
-    "first",
-    "second",
-    "begin",
-    "end",
-    "minutes",
-    "probability",
-    "lon",
-    "lat",
-    "distance_m",
-    "speed_kn",
-]
 FORMS = (".csv", ".geojson", ".json")
 
 
@@ -70,7 +55,7 @@ def relations(
     options.input_files(tracks)
     settings = events.Settings(
         near=options.length("--near", near),
-        slow=speed("--slow", slow),
+        slow=options.speed("--slow", slow),
         together=options.duration("--together", together),
         convoy=options.duration("--convoy", convoy),
         berth=options.length("--berth", berth),
@@ -94,7 +79,7 @@ def relations(
     rows = [_row(event, read.projection) for event in found.events]
     if output is not None:
         with naming(output):
-            _write(rows, output)
+            _write(rows, columns_of(read.projection), output)
         say(f"wrote {output}")
     if pictures is not None:
         _draw(found, pictures, read.projection)
@@ -110,19 +95,17 @@ def relations(
               f"p {row['probability']:.2f}  {row['distance_m']:.0f} m  {row['speed_kn']:.1f} kn")  # fmt: skip
 
 
-def speed(option: str, text: str) -> float:
-    """Metres per second: ``2kn``, ``1 m/s``, ``3.6 km/h``; a bare number is m/s."""
-    found = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*([a-z/]*)\s*", text.lower())
-    unit = found[2] or "m/s" if found else ""
-    if found is None or unit not in KNOTS:
-        options.wrong(option, f"{text!r} is not a speed such as 2kn or 1m/s")
-    value = float(found[1]) * KNOTS[unit]
-    return value if value > 0 else options.wrong(option, "must be above 0")
+def columns_of(projection: Projection | None) -> list[str]:
+    """What is told of an event; its place in degrees, or, of planar tracks, in the plane they lie in."""
+    place = ("x", "y") if projection is None else ("lon", "lat")
+    return ["kind", "first", "second", "begin", "end", "minutes", "probability", *place, "distance_m", "speed_kn"]
 
 
 def _row(event: Event, projection: Projection | None) -> dict[str, Any]:
     """An event in plain types; what is not known is None."""
     import numpy as np
+
+    from wakefold.base.units import KNOT
 
     place = event.place if projection is None else projection.to_geodetic(event.place[None])[0]
     clock = [str(np.datetime64(round(t), "s")) + "Z" for t in (event.begin, event.end)]
@@ -130,14 +113,15 @@ def _row(event: Event, projection: Projection | None) -> dict[str, Any]:
     first, second = (*event.agents, "")[:2]
     values = (event.kind, first, second, *clock, round((event.end - event.begin) / 60, 1))
     at = np.round(place, 6 if projection is not None else 2).tolist()
-    numbers = (round(event.probability, 4), *at, distance, round(event.speed / KNOTS["kn"], 2))
-    return dict(zip(COLUMNS, (*values, *numbers), strict=True))
+    numbers = (round(event.probability, 4), *at, distance, round(event.speed / KNOT, 2))
+    return dict(zip(columns_of(projection), (*values, *numbers), strict=True))
 
 
-def _write(rows: list[dict[str, Any]], path: Path) -> None:
+def _write(rows: list[dict[str, Any]], names: list[str], path: Path) -> None:
+    """CSV, or GeoJSON of tracks that have longitudes and latitudes."""
     with path.open("w", encoding="utf-8", newline="") as file:
         if path.suffix.lower() == ".csv":
-            out = csv.DictWriter(file, COLUMNS, lineterminator="\n")
+            out = csv.DictWriter(file, names, lineterminator="\n")
             out.writeheader()
             out.writerows(rows)
             return

@@ -30,12 +30,10 @@ from wakefold.filters.particles import (
     elapsed,
     pick_strata,
 )
-from wakefold.model.deviation import Deviation
+from wakefold.model.deviation import KINDS, Deviation
 from wakefold.model.kernels import components
 from wakefold.model.model import Model
 from wakefold.tracks.shaping import along
-
-KINDS = 3  # spreads that each track is given components of
 
 
 class _Cloud(NamedTuple):

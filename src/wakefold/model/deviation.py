@@ -19,7 +19,7 @@ MOST = 300  # tracks that are held out
 PIECES = 4  # of a track, each with offsets of its own
 SHOWN = 30  # tracks that are held out to see how far fixes tell tracks apart
 RIVALS = 100  # tracks that they are told from, and at most so many relatives
-KINDS = 3  # ratios that stand for all
+KINDS = 3  # ratios that stand for all, each with components of its own on every track
 LEAST = 0.1  # of the median scale, and ratio: equal tracks do not show that agents never stray
 
 

@@ -13,7 +13,18 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike
 
 from wakefold.base.wording import duration_text
-from wakefold.plot.canvas import BACKDROP, INK, PALETTE, box_around, draw_lines, ground, lines_of, size_of, styled
+from wakefold.plot.canvas import (
+    BACKDROP,
+    INK,
+    PALETTE,
+    box_around,
+    draw_lines,
+    ground,
+    legend_below,
+    lines_of,
+    size_of,
+    styled,
+)
 from wakefold.tracks.tracks import Tracks
 
 
@@ -104,5 +115,5 @@ def forecast(
         handles.append(Line2D([], [], marker="o", markersize=7, label="truth then", **hollow))
     if any(item.constant_velocity is not None for item in ahead):
         handles.append(Line2D([], [], marker="s", markersize=6, label="constant velocity", **hollow))
-    figure.legend(handles=handles, loc="outside lower center", ncols=5)
+    legend_below(figure, handles, 5)
     return figure

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from numpy.typing import ArrayLike
 
+from wakefold.base.units import DAY
 from wakefold.base.wording import duration_text
 from wakefold.model.filtration import Filtration
 from wakefold.plot.canvas import (
@@ -25,6 +26,7 @@ from wakefold.plot.canvas import (
     box_around,
     draw_lines,
     ground,
+    legend_below,
     length_text,
     lines_of,
     size_of,
@@ -116,7 +118,7 @@ def beliefs(
             )
     for row, moment in enumerate(moments):
         panels[row, 0].set_ylabel(_clock(moment.time, moments[0].time), fontsize=7.5)
-    figure.legend(handles=_belief_legend(moments), loc="outside lower center", ncols=8, handletextpad=0.4)
+    legend_below(figure, _belief_legend(moments), 8, handletextpad=0.4)
     return figure
 
 
@@ -196,4 +198,4 @@ def _shade(colour: str, probability: float) -> tuple[float, float, float]:
 def _clock(time: float, start: float) -> str:
     moment = datetime.fromtimestamp(time, UTC)
     elapsed = f"+{duration_text(time - start)}" if time > start else "start"
-    return f"{moment:%d %b %H:%M}\n{elapsed}" if time > 86400 else elapsed
+    return f"{moment:%d %b %H:%M}\n{elapsed}" if time > DAY else elapsed

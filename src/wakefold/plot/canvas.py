@@ -10,6 +10,7 @@ from typing import Any, ParamSpec, cast
 
 import numpy as np
 from matplotlib import rc_context
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
@@ -142,6 +143,15 @@ def size_of(box: Box, longest: float, room: tuple[float, float] = (0.0, 0.0)) ->
     """Width and height in inches: the longer side of ``box`` takes ``longest``, the labels around it ``room``."""
     scale = longest / max(box[2] - box[0], box[3] - box[1])
     return (box[2] - box[0]) * scale + room[0], (box[3] - box[1]) * scale + room[1]
+
+
+def legend_below(figure: Figure, handles: Sequence[Artist], columns: int, **look: Any) -> None:
+    """A legend under the axes: in so many columns, or in fewer if the figure is too narrow for them."""
+    for count in range(min(columns, len(handles)), 0, -1):
+        legend = figure.legend(handles=handles, loc="outside lower center", ncols=count, **look)
+        if count == 1 or legend.get_window_extent().width <= 0.98 * figure.bbox.width:
+            return
+        legend.remove()
 
 
 def _round_number(most: float) -> float:

@@ -13,14 +13,14 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from wakefold.base.units import HOUR, KNOT
 from wakefold.plot.canvas import INK, PALE, PALETTE, box_around, ground, styled
 
 if TYPE_CHECKING:
     from wakefold.tracks.projection import Projection
 
-AROUND = 3600.0  # seconds before and after that are shown
+AROUND = HOUR  # seconds before and after that are shown
 EDGES = 60  # lines between the two ships
-KNOT = 1852 / 3600  # m/s
 SHORTEST = 400.0  # metres: of the side of the map
 
 

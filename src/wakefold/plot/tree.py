@@ -22,6 +22,7 @@ from wakefold.plot.canvas import (
     box_around,
     draw_lines,
     ground,
+    legend_below,
     length_text,
     lines_of,
     size_of,
@@ -132,7 +133,7 @@ def filtration(
     if single.any():
         entries.append((SINGLE, 1.0, f"{single.sum():,} single tracks"))
     handles = [Line2D([], [], color=colour, linewidth=width, label=label) for colour, width, label in entries]
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(4, len(handles)))
+    legend_below(figure, handles, 4)
     return figure
 
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple
 
 import numpy as np
 
+from wakefold.base.units import DAY
 from wakefold.evidence.coarse import CoarseClass
 from wakefold.evidence.evidence import Evidence
 from wakefold.evidence.fix import Fix
@@ -39,7 +40,7 @@ MORE_FIELDS = ("sd", "class", "level", "confidence")
 CONFIDENCE = 0.9
 LARGEST = 1e100  # of numbers; their squares still are numbers
 ECHOED = 60  # characters of a value that a message repeats
-YEAR = 365 * 86400.0
+YEAR = 365 * DAY
 
 
 class Observation(NamedTuple):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-KNOT = 1852 / 3600
-"""Metres per second."""
+from wakefold.base.units import KNOT
+
 NO_SPEED = 102.3
 """Knots; AIS for "not available"."""
 

@@ -16,9 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 from scipy.special import ndtr
 
+from wakefold.base.units import HOUR, KNOT
 from wakefold.relations.activities import taken_place
 from wakefold.relations.detections import Detections
-from wakefold.relations.events.stops import Moments, berths, moments, runs, stops
+from wakefold.relations.events.stops import HOLE, Moments, berths, moments, runs, stops
 from wakefold.relations.filter import RelationalFilter
 from wakefold.relations.model import (
     Activity,
@@ -35,14 +36,12 @@ from wakefold.tracks.tracks import Tracks
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-KNOT = 1852 / 3600  # m/s
 KINDS = ("rendezvous", "encounter", "convoy", "loitering", "port visit")
-SD = 20.0  # metres: positions by satellite, in straight lines between
+BETWEEN_SD = 20.0  # metres, of places in straight lines between fixes; more than the fixes' own, ``stops.FIX_SD``
 WANDER = 0.07  # m/s per square root of a second: a ship under way
 SPEED = 5.0  # m/s per axis, of a ship nothing is known of
 MIDDLE = 0.5  # from this probability on, a relation holds
 FAINT = 0.05  # relations less probable are not kept
-HOLE = 600.0  # seconds that an event may be interrupted
 GATE = 3000.0  # metres
 
 
@@ -218,7 +217,7 @@ def _relations(m: Moments, s: Settings, progress: Callable[[float], None] | None
     for count, frame in enumerate(frames.tolist()):
         rows = order[edges[count] : edges[count + 1]]
         if len(rows):
-            seen = Detections(m.position[rows], SD, m.agent[rows], detect_prob=0.5)
+            seen = Detections(m.position[rows], BETWEEN_SD, m.agent[rows], detect_prob=0.5)
             scene = f.step(scene, seen, time=m.time(frame))
         else:
             scene = f.step(scene, time=m.time(frame))
@@ -288,7 +287,7 @@ def _rows(m: Moments, agent: int, frames: Ints) -> Ints:
 
 def _came_and_went(m: Moments, a: int, b: int, first: int, last: int, s: Settings) -> bool:
     """Whether two ships were seen well apart, both before and after, within half a day."""
-    window = round(12 * 3600 / s.period)
+    window = round(12 * HOUR / s.period)
     sides = []
     for frames in (np.arange(first - window, first), np.arange(last + 1, last + 1 + window)):
         here, there = _rows(m, a, frames), _rows(m, b, frames)

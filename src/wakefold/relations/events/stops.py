@@ -15,17 +15,19 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from wakefold.base.units import HOUR
 from wakefold.relations.smoothing import constant_velocity
 from wakefold.tracks.tracks import Tracks
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-SD, Q = 15.0, 0.005  # metres of a position by satellite; m²/s³ of a ship under way
+FIX_SD, Q = 15.0, 0.005  # metres of a position by satellite, as received; m²/s³ of a ship under way
 STILL = 0.5  # m/s: who is slower lies still
 STOP = 1200.0  # seconds of a stop at least
+HOLE = 600.0  # seconds that a stop, or an event, may be interrupted
 TIED = 20.0  # metres: who lies still for hours within so small a circle is tied up; a ship at anchor swings
-LONG = 3 * 3600.0  # seconds
+LONG = 3 * HOUR  # seconds
 TOUCH = 150.0  # metres between stops at one place
 EMPTY = 1800.0  # seconds without anybody between two uses of one place
 
@@ -92,7 +94,7 @@ def moments(tracks: Tracks, period: float, gap: float) -> Moments:
         every = np.concatenate([times, clock])
         rank = np.argsort(every, kind="stable")
         seen = np.concatenate([points, np.full((len(clock), 2), np.nan)])
-        state = constant_velocity(seen[rank], every[rank], SD, q=Q)
+        state = constant_velocity(seen[rank], every[rank], FIX_SD, q=Q)
         at = np.empty(len(rank), dtype=np.int64)
         at[rank] = np.arange(len(rank))
         at = at[len(times) :]
@@ -124,7 +126,7 @@ def stops(m: Moments) -> list[Stop]:
     """Every stretch of ``STOP`` seconds and more at which an agent was slower than ``STILL``."""
     still = np.linalg.norm(m.velocity, axis=1) < STILL
     out = []
-    for lo, hi in runs(m.agent, m.frame, still, longest_hole=round(600 / m.period)):
+    for lo, hi in runs(m.agent, m.frame, still, longest_hole=round(HOLE / m.period)):
         if (m.frame[hi - 1] - m.frame[lo]) * m.period >= STOP:
             rows = np.arange(lo, hi)[still[lo:hi]]
             place = np.median(m.position[rows], axis=0)
