@@ -112,13 +112,6 @@ def test_what_made_the_data_is_found_again():
     assert np.allclose(told.transition, true.transition, atol=0.03)
 
 
-def test_the_number_of_states_is_found_by_validation():
-    true = GaussianHMM(np.full(3, 1 / 3), 0.1 + 0.7 * np.eye(3), [[0.0], [5.0], [10.0]], np.ones((3, 1, 1)))
-    x, _ = drawn(true, 30, 60, seed=3)
-    found = GaussianHMM.learn_sized(x, (1, 2, 3), np.random.default_rng(0), restarts=2)
-    assert len(found.initial) == 3
-
-
 def test_one_seed_gives_one_model():
     x, _ = drawn(model(3, 2, seed=4), 5, 40, seed=5)
     first, again = (GaussianHMM.learn(x, 3, np.random.default_rng(1)) for _ in range(2))

@@ -246,34 +246,6 @@ class GaussianHMM:
         base = _from_labels(x[seen], label[seen], states, least)
         return cls(_shares(starts + 0.5), _shares(moves + 0.5), base.mean, base.cov)
 
-    @classmethod
-    def learn_sized(
-        cls,
-        sequences: Sequence[ArrayLike],
-        sizes: Sequence[int],
-        rng: np.random.Generator,
-        *,
-        held_out: float = 0.3,
-        restarts: int = 1,
-    ) -> GaussianHMM:
-        """``learn`` with the number of states that explains a held-out share of the sequences best, then on all.
-
-        Args:
-            sequences: each ``(T, F)``, two or more.
-            sizes: numbers of states to try.
-            rng: of the share and the beginnings.
-            held_out: share of the sequences to judge by.
-            restarts: see ``learn``.
-        """
-        order = rng.permutation(len(sequences))
-        judge = order[: max(1, round(held_out * len(order)))]
-        taught = [sequences[i] for i in order[len(judge) :]]
-        fits = []
-        for size in sizes:
-            model = cls.learn(taught, size, rng, restarts=restarts)
-            fits.append(sum(model.log_likelihood(sequences[i]) for i in judge))
-        return cls.learn(sequences, sizes[int(np.argmax(fits))], rng, restarts=restarts)
-
 
 def joined(sequences: Sequence[ArrayLike]) -> tuple[Floats, NDArray[np.int64]]:
     """All observations ``(P, F)`` one after the other and the offsets ``(N + 1,)`` of the sequences."""

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wakefold.tracks.ragged import ragged_rows
+
 if TYPE_CHECKING:
     from wakefold.model.filtration import Filtration
     from wakefold.model.kernels.boxes import Field
@@ -79,7 +81,7 @@ class Dynamics:
         order = filtration.order
         lengths = tracks.lengths[order]
         starts = np.concatenate([[0], np.cumsum(lengths)])
-        rows = np.arange(starts[-1]) + np.repeat(tracks.offsets[:-1][order] - starts[:-1], lengths)
+        rows = ragged_rows(tracks.offsets[:-1][order], lengths)
         points, times = tracks.points[rows], tracks.times[rows]
         velocities, steps, intervals = _forward_difference(points, times, starts)
         if epsilon is None:

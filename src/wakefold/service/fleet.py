@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from wakefold.model.model import Model
 
 BACK = 3  # lines of an agent in a row that are earlier than its belief, with rising times: its clock was set right
+REMEMBERED = 100_000  # agents dropped that are not counted as new when they come back
 
 
 class Crowd:
@@ -50,7 +51,8 @@ class Crowd:
         self.max_agents, self.say = max_agents, say
         self.max_gap = min(max_gap, longest_step(filter.model))
         self.live: OrderedDict[str, Belief] = OrderedDict()
-        self.met: set[int] = set()  # hashes of all names: some 60 bytes of each, while live agents are bounded
+        self._dropped: OrderedDict[str, None] = OrderedDict()  # of them, the last ``REMEMBERED``
+        self.met = 0  # agents, each once, but for those dropped so long ago that they are forgotten
         self._told_plane = False
         self._earlier: dict[str, tuple[int, float]] = {}  # of live agents: lines in a row before the belief, the last
 
@@ -108,13 +110,18 @@ class Crowd:
         return at
 
     def _keep(self, agent: str, belief: Belief) -> None:
-        self.met.add(hash(agent))
+        if agent not in self.live and agent not in self._dropped:
+            self.met += 1
+        self._dropped.pop(agent, None)
         self._earlier.pop(agent, None)
         self.live[agent] = belief
         self.live.move_to_end(agent)
         if len(self.live) > self.max_agents:
             oldest, _ = self.live.popitem(last=False)
             self._earlier.pop(oldest, None)
+            self._dropped[oldest] = None
+            if len(self._dropped) > REMEMBERED:
+                self._dropped.popitem(last=False)
             self.say(f"agent {oldest} dropped: over {self.max_agents:,} live agents (--max-agents)")
 
     def _answer(self, seen: Observation, event: str, belief: Belief) -> Answer:

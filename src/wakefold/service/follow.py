@@ -90,7 +90,7 @@ def run(
                     say("more lines refused, from here on only counted")
         finally:
             tail = f", {counted(refused, 'line')} refused" if refused else ""
-            say(f"{counted(answered, 'observation')} of {counted(len(crowd.met), 'agent')} answered{tail}")
+            say(f"{counted(answered, 'observation')} of {counted(crowd.met, 'agent')} answered{tail}")
     if not answered and not refused:
         raise ReadError(f"{observations}: no observation" + (f" of {_named(agents)}" if agents else ""))
     if absent := agents - met:

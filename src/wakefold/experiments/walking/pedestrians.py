@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wakefold.tracks.tracks import Tracks
 
@@ -109,8 +108,3 @@ def _numbers(file: Path, least: int) -> list[tuple[int, list[float]]]:
     if not out:
         raise ValueError(f"{file} is empty")
     return out
-
-
-def times_to_frames(times: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Whole frames of times of a scene."""
-    return np.rint(times / FRAME).astype(np.int64)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from wakefold.base import small
 from wakefold.relations.smoothing import constant_velocity
+from wakefold.tracks.ragged import ragged_rows
 from wakefold.tracks.tracks import Tracks
 
 Floats = NDArray[np.float64]
@@ -49,7 +50,7 @@ class Walkers(NamedTuple):
         """What was known before ``frame``; people yet to come are left out."""
         there = np.flatnonzero(self.begin < frame)
         lengths = np.minimum(self.end, frame)[there] - self.begin[there]
-        rows = _rows(self.offsets[:-1][there], lengths)
+        rows = ragged_rows(self.offsets[:-1][there], lengths)
         offsets = np.concatenate([[0], np.cumsum(lengths)])
         columns = self.position[rows], self.velocity[rows], self.seen[rows]
         return Walkers(self.ids[there], self.begin[there], offsets, *columns, self.dt)
@@ -155,8 +156,8 @@ class Steps(NamedTuple):
 def steps(walkers: Walkers, pairs: Together) -> Steps:
     """Spacing and velocities of pairs, frame by frame."""
     lengths = pairs.end - pairs.begin
-    a = _rows(walkers.offsets[pairs.first] + pairs.begin - walkers.begin[pairs.first], lengths)
-    b = _rows(walkers.offsets[pairs.second] + pairs.begin - pairs.shift - walkers.begin[pairs.second], lengths)
+    a = ragged_rows(walkers.offsets[pairs.first] + pairs.begin - walkers.begin[pairs.first], lengths)
+    b = ragged_rows(walkers.offsets[pairs.second] + pairs.begin - pairs.shift - walkers.begin[pairs.second], lengths)
     apart = walkers.position[b] - walkers.position[a]
     va, vb = walkers.velocity[a], walkers.velocity[b]
     speeds = np.hypot(va[:, 0], va[:, 1]), np.hypot(vb[:, 0], vb[:, 1])
@@ -246,9 +247,3 @@ def _so_far(x: Floats, at: Ints) -> Floats:
     total = np.cumsum(x)
     before = np.concatenate([[0.0], total])[at[:-1]]
     return total - np.repeat(before, np.diff(at))
-
-
-def _rows(begin: Ints, lengths: Ints) -> Ints:
-    """Consecutive rows ``begin[i], ..., begin[i] + lengths[i] - 1`` of each, laid end to end."""
-    ends = np.cumsum(lengths)
-    return np.arange(ends[-1] if len(ends) else 0) + np.repeat(begin - (ends - lengths), lengths)
