@@ -20,3 +20,12 @@ def test_links_between_pages_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", page.read_text()):
         if "://" not in target:
             assert (page.parent / target).exists(), f"{page.name} links to {target}"
+
+
+def test_the_snippet_of_the_readme_runs_in_an_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (snippet,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
+    said: dict = {}
+    exec(snippet, said)
+    assert sum(row.probability for row in said["belief"].level(500.0)) == pytest.approx(1.0)
+    assert not list(tmp_path.iterdir())
