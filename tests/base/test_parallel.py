@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+import wakefold as wf
 from wakefold.base.parallel import LINEAR_ALGEBRA, Processes, Ray, Threads, cores, thread_map
 from wakefold.model.linkage.spanning import spanning_tree
 from wakefold.tracks.tracks import Tracks
@@ -172,3 +173,18 @@ def test_the_tree_survives_the_death_of_a_worker(cluster, tmp_path):
     np.testing.assert_array_equal(by_ray[1], heights)
     assert killed == ["_search", "_measure"]
     assert len(os.listdir(tmp_path)) == 2
+
+
+def test_who_compares_the_tracks_changes_no_bit_of_the_model(cluster):
+    rng = np.random.default_rng(0)
+    tracks = wf.Tracks.from_arrays([np.cumsum(rng.normal(10, 5, (20, 2)), axis=0) for _ in range(30)])
+    alone = wf.learn(tracks)
+    for executor in (Threads(2), cluster):
+        model = wf.learn(tracks, executor=executor)
+        for name in ("order", "gaps", "parent"):
+            assert np.array_equal(getattr(model.filtration, name), getattr(alone.filtration, name))
+        assert np.array_equal(model.dynamics.velocities, alone.dynamics.velocities)
+        for name in ("epsilon", "scale"):
+            assert getattr(model.dynamics, name) == getattr(alone.dynamics, name)
+        with pytest.raises(ValueError, match="threads of this machine"):
+            wf.learn(tracks, linkage="complete", executor=executor)

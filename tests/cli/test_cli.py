@@ -229,6 +229,22 @@ def test_agents_are_bounded_and_a_long_silence_starts_anew(room: Path) -> None:
     assert [row["event"] for row in csv.DictReader(io.StringIO(out))] == ["start", "start", "restart"]
 
 
+def test_what_is_kept_of_agents_met_is_bounded(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli_track, "REMEMBERED", 3)
+    crowd = cli_track.Crowd(wf.BL2(wf.load("harbour.model"), 5), [], [], 2, 1e9, lambda line: None)
+    for i in range(50):
+        crowd(Observation(i, f"agent {i}", float(i), float(i)))
+        crowd(Observation(i, f"agent {i - i % 2}", float(i), float(i)))  # some come back
+    assert crowd.met == 50
+    kept = sum(len(value) for value in vars(crowd).values() if hasattr(value, "__len__"))
+    assert kept <= 2 + 3
+
+
+def test_learning_says_who_compares_the_tracks(room: Path) -> None:
+    code, _, err = run("learn harbour.csv -o c.model --linkage complete --executor ray")
+    assert (code, "--executor" in err) == (2, True)
+
+
 def test_an_album_keeps_a_handful_of_moments_however_long_the_feed(room: Path) -> None:
     model = wf.load("harbour.model")
     follower = wf.BL1(model, 20)

@@ -8,6 +8,7 @@ import pytest
 
 import wakefold as wf
 from wakefold.base.store import StoreError
+from wakefold.model.filtration import Filtration
 
 
 @pytest.fixture(scope="module")
@@ -133,3 +134,13 @@ def test_a_belief_that_was_pickled_has_its_coarse_sets(model):
     assert len(pickle.dumps(again)) < 200_000  # not the model that the sets are worked out from
     assert np.array_equal(again.stack.points, belief.stack.points)
     assert np.array_equal(again.mean("stack"), belief.mean("stack"))
+
+
+def test_a_track_that_is_not_there_names_those_that_are_like_it(model):
+    cut = Filtration.from_distances(np.ones((3, 3)) - np.eye(3), ["ferry0#0", "ferry0#1", "tug"])
+    with pytest.raises(ValueError, match=r"no track has the id 'ferry0'; did you mean 'ferry0#0' or 'ferry0#1'\?"):
+        cut.class_at("ferry0", 2.0)
+    with pytest.raises(ValueError, match="did you mean 'ship 7'"):
+        model.filtration.track("shp 7")
+    with pytest.raises(ValueError, match=r"'zeppelin'$"):
+        model.filtration.track("zeppelin")

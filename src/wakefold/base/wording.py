@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 
 def number_text(value: float, digits: int = 3) -> str:
     """So many digits, or the whole number where that takes more of them: "0.25", "12.3", "1,810"."""
@@ -24,3 +26,12 @@ def duration_text(seconds: float) -> str:
 def counted(count: int, noun: str) -> str:
     """ "1 track", "2,000 tracks"."""
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
+
+
+def near_miss(name: str, names: Iterable[str]) -> str:
+    """ "; did you mean 'ferry0#0'?": names that are pieces of this one, or written much like it; "" without any."""
+    from difflib import get_close_matches
+
+    every = list(names)
+    close = [other for other in every if other.startswith(f"{name}#")][:3] or get_close_matches(name, every, 3)
+    return f"; did you mean {' or '.join(map(repr, close))}?" if close else ""

@@ -29,6 +29,11 @@ class LinkageName(StrEnum):
     complete = "complete"
 
 
+class ExecutorName(StrEnum):
+    threads = "threads"
+    ray = "ray"
+
+
 @guarded
 def learn(
     tracks: Annotated[list[Path], arg("Files of tracks; their format is recognised.")],
@@ -58,6 +63,10 @@ def learn(
     columns: Columns = "",
     time_format: TimeFormat = None,
     threads: Annotated[int | None, typer.Option(help="Of the distances; all cores without.", min=1)] = None,
+    executor: Annotated[
+        ExecutorName,
+        typer.Option(help="Who compares tracks; ray: the cluster of RAY_ADDRESS, or a new one here."),
+    ] = ExecutorName.threads,
     checkpoint: Annotated[
         Path | None,
         opt("Directory from which an interrupted comparison of the tracks goes on."),
@@ -77,6 +86,8 @@ def learn(
 
     options.input_files(tracks)
     options.model_directory(output)
+    if linkage is LinkageName.complete and executor is not ExecutorName.threads:
+        options.wrong("--executor", "complete linkage runs on the threads of this machine")
     step = None if spacing == "auto" else options.length("--spacing", spacing)
     cuts = {"max_gap": options.duration("--max-gap", max_gap), "max_speed": max_speed, **options.stop(stop)}
     if max_speed is not None and not max_speed > 0:
@@ -109,6 +120,7 @@ def learn(
             epsilon=radius,
             threads=threads,
             progress=update,
+            executor=None if executor is ExecutorName.threads else options.ray_workers(threads),
             checkpoint=checkpoint,
         )
     with naming(output):

@@ -13,6 +13,7 @@ import typer
 from wakefold.base.files import STANDARD
 
 if TYPE_CHECKING:
+    from wakefold.base.parallel import Executor
     from wakefold.model.filtration import Filtration
     from wakefold.service.feed import Form
 
@@ -129,6 +130,19 @@ def stop(text: str | None) -> dict[str, Any]:
     if not comma:
         wrong("--stop", f"{text!r} is not a radius and a time such as 150m,10min")
     return {"stop_radius": length("--stop", radius), "stop_time": duration("--stop", time)}
+
+
+def ray_workers(workers: int | None) -> Executor:
+    """The workers of the cluster that RAY_ADDRESS names, or so many of a new one on this machine."""
+    from wakefold.base.parallel import Ray
+
+    try:
+        import ray
+    except ImportError:
+        wrong("--executor", "Ray is not installed: pip install 'wakefold[ray]'")
+    if not ray.is_initialized():
+        ray.init(num_cpus=None if "RAY_ADDRESS" in os.environ else workers, log_to_driver=False)
+    return Ray()
 
 
 # Where input comes from and output goes

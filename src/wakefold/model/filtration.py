@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wakefold.base import store
 from wakefold.base.parallel import Executor
+from wakefold.base.wording import near_miss
 from wakefold.model.linkage import dendrogram
 from wakefold.model.linkage.distance import frechet_matrix
 from wakefold.model.linkage.growth import grown_tree
@@ -247,7 +248,7 @@ class Filtration:
         """
         if isinstance(track, str):
             if track not in self._numbers:
-                raise ValueError(f"no track has the id {track!r}")
+                raise ValueError(f"no track has the id {track!r}{near_miss(track, self._numbers)}")
             return self._numbers[track]
         if not 0 <= track < len(self):
             raise ValueError(f"there is no track {track}; tracks run from 0 to {len(self) - 1}")

@@ -11,6 +11,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from wakefold.base import store
+from wakefold.base.parallel import Executor
 from wakefold.base.wording import number_text
 from wakefold.model.dynamics import Dynamics, Noise
 from wakefold.model.filtration import Filtration, Linkage
@@ -95,6 +96,7 @@ def learn(
     sd: float | None = None,
     threads: int | None = None,
     progress: Callable[[float], None] | None = None,
+    executor: Executor | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
 ) -> Model:
     """Learn movement classes and their dynamics from historical tracks.
@@ -107,12 +109,13 @@ def learn(
         sd: of a fix that does not tell its own, metres; half the median spacing of track points by default.
         threads: of the distance kernel, all cores by default.
         progress: called with the share of the work done, 0 to 1.
+        executor: where most of the comparison runs, such as ``wakefold.parallel.Ray()``; see ``Filtration.fit``.
         checkpoint: directory from which an interrupted comparison of the tracks goes on, see ``Filtration.fit``.
 
     Raises:
-        ValueError: no tracks, a setting out of range, or a checkpoint that cannot serve.
+        ValueError: no tracks, a setting out of range, or an executor or a checkpoint that cannot serve.
     """
-    filtration = Filtration.fit(tracks, linkage=linkage, threads=threads, progress=progress, checkpoint=checkpoint)
+    filtration = Filtration.fit(tracks, linkage, threads, progress, executor=executor, checkpoint=checkpoint)
     dynamics = Dynamics.learn(tracks, filtration, epsilon=epsilon, noise=noise, scale=scale)
     if sd is None:
         spacing = tracks.median_spacing
