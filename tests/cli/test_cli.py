@@ -230,8 +230,8 @@ def test_agents_are_bounded_and_a_long_silence_starts_anew(room: Path) -> None:
 
 
 def test_what_is_kept_of_agents_met_is_bounded(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli_track, "REMEMBERED", 3)
-    crowd = cli_track.Crowd(wf.BL2(wf.load("harbour.model"), 5), [], [], 2, 1e9, lambda line: None)
+    monkeypatch.setattr(fleet, "REMEMBERED", 3)
+    crowd = fleet.Crowd(wf.BL2(wf.load("harbour.model"), 5), [], [], 2, 1e9, lambda line: None)
     for i in range(50):
         crowd(Observation(i, f"agent {i}", float(i), float(i)))
         crowd(Observation(i, f"agent {i - i % 2}", float(i), float(i)))  # some come back
@@ -501,6 +501,18 @@ def test_two_ships_of_one_name_are_told_apart_by_their_speed(room: Path) -> None
     code, _, problem = run("learn twins.csv --max-speed 0 -o t.model")
     assert code == 2
     assert "must be above 0" in problem
+
+
+def test_a_gap_near_the_sampling_interval_is_pointed_out(room: Path) -> None:
+    rows = [
+        f"far{k},{1_607_000_000 + 1500 * i + 900 * (i % 3)},{-74 + 0.1 * i},{40.6 + k}"
+        for k in (0, 1)
+        for i in range(40)
+    ]
+    (room / "rare.csv").write_text("\n".join(["agent,time,lon,lat", *rows]) + "\n")
+    assert "near the 30 min that cut a track; see --max-gap" in run("learn rare.csv -o rare.model")[1]
+    assert "--max-gap" not in run("learn rare.csv --max-gap 3h -o rare.model")[1]
+    assert "--max-gap" not in run("learn harbour.csv -o rare.model")[1]
 
 
 def test_ships_at_rest_do_not_choose_the_spacing(room: Path) -> None:

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 import wakefold as wf
+from wakefold.base import store
 from wakefold.base.store import StoreError
+from wakefold.model.dynamics import Dynamics
 from wakefold.model.filtration import Filtration
 
 
@@ -144,3 +146,29 @@ def test_a_track_that_is_not_there_names_those_that_are_like_it(model):
         model.filtration.track("shp 7")
     with pytest.raises(ValueError, match=r"'zeppelin'$"):
         model.filtration.track("zeppelin")
+
+
+def test_a_model_keeps_its_velocities_and_one_without_them_learns_them(model, tmp_path, monkeypatch):
+    model.save(tmp_path / "model")
+    arrays, meta = store.load(tmp_path / "model", "model")
+    assert np.array_equal(arrays["dynamics_velocities"], model.dynamics.velocities)
+    older = {name: array for name, array in arrays.items() if not name.startswith("dynamics")}
+    settings = {name: value for name, value in meta["dynamics"].items() if name != "interval"}
+    store.save(tmp_path / "older", older, {**meta, "dynamics": settings}, "model")
+    for name in ("points", "velocities", "starts", "lo", "hi"):
+        for place in ("model", "older"):
+            assert np.array_equal(getattr(wf.load(tmp_path / place).dynamics, name), getattr(model.dynamics, name))
+    assert wf.load(tmp_path / "older").dynamics.interval == model.dynamics.interval
+
+    v = arrays["dynamics_velocities"]
+    for damaged in (v[1:], v[:, :1], np.full_like(v, np.nan), v.astype("f4"), v.astype("i8"), v.astype("U8")):
+        store.save(tmp_path / "bad", {**arrays, "dynamics_velocities": damaged}, meta, "model")
+        with pytest.raises(StoreError, match="velocities"):
+            wf.load(tmp_path / "bad")
+    for damaged in (-1.0, 0, None, "60", {}):
+        bad = {**meta, "dynamics": {**meta["dynamics"], "interval": damaged}}
+        store.save(tmp_path / "bad", arrays, bad, "model")
+        with pytest.raises(StoreError, match="sound model"):
+            wf.load(tmp_path / "bad")
+    monkeypatch.setattr(Dynamics, "learn", None)
+    wf.load(tmp_path / "model")

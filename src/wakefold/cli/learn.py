@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from wakefold.base.files import naming
-from wakefold.base.wording import counted, number_text
+from wakefold.base.wording import counted, duration_text, number_text
 from wakefold.cli import options
 from wakefold.cli.console import fail, guarded, progress, say
 from wakefold.cli.options import Columns, Json, TimeFormat, arg, opt
@@ -102,7 +102,8 @@ def learn(
     pieces = read.segment(**cuts).filter(min_length=shortest)
     if not len(pieces):
         fail("no track is left to learn from: " + "; ".join(pieces.notes))
-    for remark in filter(None, [at_rest(pieces), impossible(pieces)]):
+    remarks = sparse(read, cuts["max_gap"]), at_rest(pieces), impossible(pieces)
+    for remark in filter(None, remarks):
         show(f"  note: {remark}")
     step = step or auto_spacing(pieces) or fail("no track moves: give --spacing")
     if (points := points_after(pieces, step)) > MOST_POINTS:
@@ -195,3 +196,14 @@ def _extent(tracks: Tracks) -> np.ndarray:
     begins = tracks.offsets[:-1]
     size = np.maximum.reduceat(tracks.points, begins) - np.minimum.reduceat(tracks.points, begins)
     return np.linalg.norm(size, axis=1)
+
+
+def sparse(tracks: Tracks, gap: float) -> str | None:
+    """A remark if tracks are sampled so rarely that ``gap`` seconds of silence are nothing special; None if not.
+
+    Ships in a harbour are heard 20 times within the default gap, those of a set that it cut to pieces once.
+    """
+    if not 3 * tracks.median_interval > gap:  # NaN of tracks of one point
+        return None
+    every = duration_text(tracks.median_interval)
+    return f"points are {every} apart (median), near the {duration_text(gap)} that cut a track; see --max-gap"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 Noise = Literal["gaussian", "uniform"]
 MAX_SUBSTEPS = 100_000
+SETTINGS = ("epsilon", "interval", "noise", "scale")  # that are kept on disk
 DEPARTURES = 20_000  # training points that the default noise is learned from
 
 
@@ -78,10 +80,7 @@ class Dynamics:
                 axis over the square root of time), a track departs from the velocity of the *other* tracks of the
                 smallest class around it. For "uniform", 5 % of the diagonal.
         """
-        order = filtration.order
-        lengths = tracks.lengths[order]
-        starts = np.concatenate([[0], np.cumsum(lengths)])
-        rows = ragged_rows(tracks.offsets[:-1][order], lengths)
+        rows, starts = _leaf_order(tracks, filtration)
         points, times = tracks.points[rows], tracks.times[rows]
         velocities, steps, intervals = _forward_difference(points, times, starts)
         if epsilon is None:
@@ -106,6 +105,29 @@ class Dynamics:
             return made
         learned = 0.05 * made.diagonal if noise == "uniform" else made._departure(filtration)
         return cls(**{**{f: getattr(made, f) for f in made.__dataclass_fields__}, "scale": learned})
+
+    def packed(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+        """Arrays and JSON metadata that ``unpacked`` takes back, without what tracks and filtration say."""
+        return {"velocities": self.velocities}, {name: getattr(self, name) for name in SETTINGS}
+
+    @classmethod
+    def unpacked(
+        cls, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any], tracks: Tracks, filtration: Filtration
+    ) -> Dynamics:
+        """The dynamics that ``packed`` took apart; of models that keep no velocities, learned again.
+
+        Raises:
+            ValueError: velocities that are not those of so many points, or a setting out of range.
+            KeyError, TypeError: a setting that is missing or no number.
+        """
+        if "velocities" not in arrays:
+            return cls.learn(tracks, filtration, meta["epsilon"], meta["noise"], meta["scale"])
+        rows, starts = _leaf_order(tracks, filtration)
+        points, velocities = tracks.points[rows], arrays["velocities"]
+        if velocities.shape != points.shape or velocities.dtype != np.float64 or not np.isfinite(velocities).all():
+            raise ValueError("its velocities are not a number for each coordinate of each point")
+        settings = {name: meta[name] for name in SETTINGS}
+        return cls(points, velocities, starts, filtration.lo, filtration.hi, diagonal=tracks.diagonal, **settings)
 
     @property
     def dim(self) -> int:
@@ -177,6 +199,13 @@ class Dynamics:
         residual = departures(self.points[rows], self.velocities[rows], *ranks, *self.ground[2:])
         known = np.isfinite(residual)
         return float(1.4826 * np.median(np.abs(residual[known])) * math.sqrt(self.interval)) if known.any() else 0.0
+
+
+def _leaf_order(tracks: Tracks, filtration: Filtration) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows of the points ``(P,)`` in leaf order, and the first point ``(M + 1,)`` of each leaf rank."""
+    order = filtration.order
+    lengths = tracks.lengths[order]
+    return ragged_rows(tracks.offsets[:-1][order], lengths), np.concatenate([[0], np.cumsum(lengths)])
 
 
 def _forward_difference(

@@ -18,7 +18,6 @@ from wakefold.model.filtration import Filtration, Linkage
 from wakefold.tracks.tracks import Tracks
 
 KIND = "model"
-SETTINGS = ("epsilon", "noise", "scale")  # of the dynamics; all else follows from the tracks
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -58,11 +57,10 @@ class Model:
     def save(self, directory: str | os.PathLike[str]) -> None:
         """Store as one directory of arrays and a manifest (see ``wakefold.base.store``); no pickle."""
         arrays, meta = {}, {}
-        for name, part in (("tracks", self.tracks), ("filtration", self.filtration)):
+        for name, part in (("tracks", self.tracks), ("filtration", self.filtration), ("dynamics", self.dynamics)):
             packed, meta[name] = part.packed()
             arrays |= {f"{name}_{key}": array for key, array in packed.items()}
-        meta |= {"sd": self.sd, "dynamics": {name: getattr(self.dynamics, name) for name in SETTINGS}}
-        store.save(directory, arrays, meta, KIND)
+        store.save(directory, arrays, {**meta, "sd": self.sd}, KIND)
 
 
 def load(directory: str | os.PathLike[str]) -> Model:
@@ -79,8 +77,7 @@ def load(directory: str | os.PathLike[str]) -> Model:
     try:
         tracks = Tracks.unpacked(part("tracks"), meta["tracks"])
         filtration = Filtration.unpacked(part("filtration"), meta["filtration"])
-        settings = {name: meta["dynamics"][name] for name in SETTINGS}
-        dynamics = Dynamics.learn(tracks, filtration, settings["epsilon"], settings["noise"], settings["scale"])
+        dynamics = Dynamics.unpacked(part("dynamics"), meta["dynamics"], tracks, filtration)
         return Model(tracks, filtration, dynamics, meta["sd"])
     except (KeyError, TypeError, ValueError) as error:
         raise store.StoreError(f"{directory} is not a sound model: {error}") from None
