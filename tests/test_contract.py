@@ -4,9 +4,12 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 
 import wakefold
+from wakefold.base.remember import Remembers
 
 SOURCE = Path(wakefold.__file__).parent
 TESTS = Path(__file__).parent
@@ -194,3 +197,15 @@ def test_nothing_is_pickled_or_evaluated():
                 assert node.func.id not in ("eval", "exec"), file
             if isinstance(node, ast.keyword) and node.arg == "allow_pickle":
                 assert ast.unparse(node.value) == "False", file
+
+
+def test_whoever_has_cached_properties_neither_copies_nor_pickles_what_they_hold():
+    """One base does it for all: see ``wakefold.base.remember``."""
+    found = set()
+    for file in files():
+        if "cached_property" in file.read_text() and file.name != "remember.py":
+            name = ".".join(["wakefold", *file.relative_to(SOURCE).with_suffix("").parts])
+            kinds = [kind for kind in vars(import_module(name)).values() if isinstance(kind, type)]
+            found |= {k for k in kinds if any(isinstance(x, cached_property) for x in vars(k).values())}
+    assert len(found) >= 7
+    assert not [kind for kind in found if not issubclass(kind, Remembers)]

@@ -567,7 +567,7 @@ def test_settings_out_of_range_are_named(model):
     ]:
         with pytest.raises(ValueError, match=match):
             wf.Calibrated(model, **settings)
-    with pytest.raises(ValueError, match="another filter"):
+    with pytest.raises(ValueError, match="another filter, BL1"):
         wf.Calibrated(model).step(wf.BL1(model).start(), dt=1.0)
     with pytest.raises(ValueError, match="at must be"):
         wf.Calibrated(model).start(at="end")

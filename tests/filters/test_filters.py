@@ -545,3 +545,38 @@ def test_a_time_is_a_time_in_any_form(time, model):
 def test_what_is_no_time_is_refused(time, model):
     with pytest.raises(ValueError, match="is not a time"):
         wf.BL1(model).start(time=time)
+
+
+@pytest.mark.parametrize("made", [wf.BL1, wf.BL2, wf.MHPF, wf.Calibrated])
+@pytest.mark.parametrize("taken", [wf.BL1, wf.BL2, wf.MHPF, wf.Calibrated])
+def test_a_filter_refuses_the_beliefs_of_other_kinds_of_filter(model, made, taken):
+    belief, f = made(model, 27).start(), taken(model, 27)
+    assert isinstance(belief, wf.Belief)
+    assert isinstance(belief, f.kind) == (made is taken)
+    for ask in (lambda: f.step(belief, [], dt=1.0), lambda: f.forecast(belief, 3.0)):
+        if made is taken:
+            ask()
+            continue
+        with pytest.raises(
+            ValueError, match=f"another filter, {made.__name__}: start a new one with this {taken.__name__}"
+        ):
+            ask()
+    with pytest.raises(TypeError, match="takes a Belief"):
+        f.forecast("here", 3.0)
+
+
+@pytest.mark.parametrize("make", [wf.BL1, wf.MHPF, wf.Calibrated])
+def test_evidence_since_the_last_recovery_goes_on_where_the_total_is_lost(model, make, tmp_path):
+    f = make(model, 40, seed=0)
+    belief = f.step(f.start(), [wf.Fix(model.tracks[2][0], sd=2.0)], dt=0.0)
+    assert belief.log_evidence_since == belief.log_evidence
+    lost = f.step(belief, [wf.Fix((1e200, 0.0), sd=1.0)], dt=1.0)
+    assert (lost.log_evidence, lost.log_evidence_since, lost.recoveries) == (-math.inf, 0.0, 1)
+    after = f.step(lost, [wf.Fix(lost.mean(), sd=3.0)], dt=0.0)
+    assert after.log_evidence == -math.inf
+    assert math.isfinite(after.log_evidence_since)
+    assert after.log_evidence_since < 0
+    after.save(tmp_path / "belief")
+    again = wf.Belief.load(tmp_path / "belief", model.filtration)
+    assert type(again) is type(after)
+    assert again.log_evidence_since == after.log_evidence_since

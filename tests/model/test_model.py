@@ -172,3 +172,57 @@ def test_a_model_keeps_its_velocities_and_one_without_them_learns_them(model, tm
             wf.load(tmp_path / "bad")
     monkeypatch.setattr(Dynamics, "learn", None)
     wf.load(tmp_path / "model")
+
+
+@pytest.mark.parametrize("make", [wf.BL1, wf.BL2, wf.MHPF, wf.Calibrated])
+@pytest.mark.parametrize("steps", [0, 1])
+def test_a_belief_stored_before_beliefs_told_whose_they_are_goes_on(model, tmp_path, make, steps):
+    """Written by hand as version 0.1.0 first wrote it."""
+    from wakefold.base import store
+    from wakefold.filters import belief as module
+
+    f = make(model, 70, seed=1)
+    belief = f.start(time=5.0)
+    for _ in range(steps):
+        belief = f.step(belief, [wf.Fix((1e6, 1e6), sd=1.0)], dt=1.0)
+    arrays = {name: getattr(belief, name) for name in ("points", "classes", "log_weights", "key")}
+    if make is wf.MHPF and steps:
+        s = belief.stack
+        arrays |= {"nodes": s.nodes, "start": s.start, "copies": s.points}
+        arrays |= {"copy_of": s.particle, "copied": s.copied, "factors": s.factors}
+    if make is wf.Calibrated:
+        arrays |= belief.gaussians._asdict()
+    meta = {name: getattr(belief, name) for name in ("step", "time", "recoveries", "ignored")}
+    meta |= {"log_evidence": "-inf" if steps else 0.0, "tree": module._fingerprint(model.filtration)}
+    store.save(tmp_path / "belief", arrays, meta, module.KIND)
+    again = wf.Belief.load(tmp_path / "belief", model.filtration)
+    assert again.log_evidence == belief.log_evidence or steps
+    assert math.isnan(again.log_evidence_since) if steps else again.log_evidence_since == 0.0
+    one, two = (f.step(b, [wf.Fix(model.tracks[3][1], sd=20.0)], dt=1.0) for b in (belief, again))
+    assert np.array_equal(one.points, two.points)
+    assert np.array_equal(one.log_weights, two.log_weights)
+    assert np.array_equal(f.forecast(again, 2.0).points, f.forecast(belief, 2.0).points)
+    again.save(tmp_path / "belief")
+    assert type(wf.Belief.load(tmp_path / "belief", model.filtration)) is type(again)
+
+
+def test_nothing_that_was_worked_out_is_pickled_or_copied(model):
+    import copy
+    import pickle
+
+    f = wf.MHPF(model, 50, seed=1)
+    belief = f.step(f.start(), [wf.Fix((1.0, 2.0), sd=5.0)], dt=3 * model.dynamics.interval)
+    belief.mean("stack")
+    tree = model.filtration
+    assert not vars(copy.copy(tree)).keys() - tree.__dataclass_fields__.keys()
+    lean = len(pickle.dumps(copy.copy(belief)))
+    belief.level(0.0), tree.query(model.tracks[0], model.tracks, k=2), tree.tree_distance(0, 1)
+    tree.children(tree.root), tree.track(str(tree.ids[0])), model.dynamics.velocity([[0.0, 0.0]], 0)
+    assert vars(tree).keys() - tree.__dataclass_fields__.keys()
+    for thing in (tree, belief, model.dynamics, model):
+        for again in (pickle.loads(pickle.dumps(thing)), copy.copy(thing), copy.deepcopy(thing)):  # noqa: S301
+            assert not vars(again).keys() - thing.__dataclass_fields__.keys()
+    assert abs(len(pickle.dumps(belief)) - lean) < 200
+    again = copy.copy(belief)
+    assert np.array_equal(again.mean("stack"), belief.mean("stack"))
+    assert np.array_equal(again.step, belief.step)

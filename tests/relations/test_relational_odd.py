@@ -12,6 +12,7 @@ from wakefold.relations.engines.pairs import candidates
 from wakefold.relations.kernels.turnover import gather, merge
 from wakefold.relations.model import ahead, couple_velocity, follow_velocity, near, same_velocity
 from wakefold.relations.motion import group, transition
+from wakefold.relations.scene import ParticleScene
 
 PARTICLES = ["bootstrap", "adapted", "rbk"]
 
@@ -19,7 +20,7 @@ PARTICLES = ["bootstrap", "adapted", "rbk"]
 def finite(scene):
     values = [scene.mean, scene.cov, scene.existence, np.array(scene.log_evidence)]
     values += [x for p in scene.pairs for x in (p.p, *p.stages)]
-    if scene.particles is not None:
+    if isinstance(scene, ParticleScene):
         values += [np.exp(scene.particles.log_weights), scene.particles.mean]
     return all(np.isfinite(x).all() for x in values)
 

@@ -8,12 +8,13 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from wakefold.base import small, store
+from wakefold.base.remember import Remembers
 
 if TYPE_CHECKING:
     from wakefold.model.filtration import Filtration
@@ -76,7 +77,7 @@ class LevelTable:
 
 
 @dataclass(frozen=True, eq=False)
-class Stack:
+class Stack(Remembers):
     """The coarse particle sets of one step: copies of base particles under their ancestors in use.
 
     Attributes:
@@ -107,11 +108,11 @@ class Stack:
         return self.copied[self.particle] + np.repeat(self.factors, sizes)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "points": self.points, "where": None}  # not the model it is worked out from
+        return super().__getstate__() | {"where": partial(np.asarray, self.points)}  # not the model it asks
 
 
 class Gaussians(NamedTuple):
-    """What the particles of ``Calibrated`` carry beside the mean of their position, which is in ``Belief.points``.
+    """What the particles of ``Calibrated`` carry beside the mean of their position, which is in ``points``.
 
     Attributes:
         covs: ``(N, d, d)`` covariance of the position, square metres.
@@ -124,23 +125,29 @@ class Gaussians(NamedTuple):
     trust: Floats
 
 
-@dataclass(frozen=True, eq=False, repr=False, init=False)
-class Belief:
+@dataclass(frozen=True, eq=False, repr=False)
+class Belief(Remembers):
     """What a filter believes about one agent. Immutable: ``step`` makes a new one.
 
+    Every kind of filter has a kind of belief, and steps no other: see the classes below.
+
     Attributes:
+        filter: the kind of filter that made it.
         tree: the filtration of the model.
         points: ``(N, d)`` positions of the base particles, metres.
         classes: ``(N,)`` class id of each (single tracks; the root for BL2).
         log_weights: ``(N,)``, normalised.
+        key, step: the agent's random stream and the number of steps taken.
         time: seconds UTC, or None when the filter was never told a time.
         log_evidence: log marginal likelihood of all evidence so far; None for the "log" weights, which are no density.
+            One report that nothing explains makes it -inf for good.
+        log_evidence_since: the same of the evidence after that at which the agent was last lost and found again; of
+            all evidence while it never was. NaN where a belief stored by an older version does not tell.
         recoveries: how often the filter lost the agent and started again.
         ignored: how many items of coarse evidence a published baseline could not use.
-        stack: the coarse sets of the last step, None where there are none.
-        gaussians: what else the particles of ``Calibrated`` carry, None where particles are points.
-        key, step: the agent's random stream and the number of steps taken.
     """
+
+    filter: ClassVar[str] = ""
 
     tree: Filtration
     points: Floats
@@ -150,41 +157,9 @@ class Belief:
     step: int = 0
     time: float | None = None
     log_evidence: float | None = 0.0
+    log_evidence_since: float | None = 0.0
     recoveries: int = 0
     ignored: int = 0
-    stack: Stack | None = None
-    gaussians: Gaussians | None = None
-
-    def __init__(
-        self,
-        tree: Filtration,
-        points: Floats,
-        classes: Ints,
-        log_weights: Floats,
-        key: NDArray[np.uint64],
-        step: int = 0,
-        time: float | None = None,
-        log_evidence: float | None = 0.0,
-        recoveries: int = 0,
-        ignored: int = 0,
-        stack: Stack | None = None,
-        gaussians: Gaussians | None = None,
-    ) -> None:
-        # What the dataclass would write takes 1.5 µs more, of 60 that a step of the simplest filter takes.
-        self.__dict__.update(
-            tree=tree,
-            points=points,
-            classes=classes,
-            log_weights=log_weights,
-            key=key,
-            step=step,
-            time=time,
-            log_evidence=log_evidence,
-            recoveries=recoveries,
-            ignored=ignored,
-            stack=stack,
-            gaussians=gaussians,
-        )
 
     @cached_property
     def weights(self) -> Floats:
@@ -242,29 +217,20 @@ class Belief:
             raise ValueError(f"estimate must be 'base' or 'stack', got {estimate!r}")
         if level is None and estimate == "base":
             return self.points, self.weights
-        if level is None:
-            if self.stack is None:
-                return self.points, self.weights
-            points = np.concatenate([self.points, self.stack.points])
-            logs = np.concatenate([self.log_weights, self.stack.log_weights])
-        else:
-            points, logs = self._level_sets(level)
+        points, logs = self.points, self.log_weights
+        if level is not None:
+            own = (self.tree.death[self.classes] > level) & (self.tree.birth[self.classes] <= level)
+            points, logs = points[own], logs[own]
+        copies, theirs = self._copies(level)
+        points, logs = np.concatenate([points, copies]), np.concatenate([logs, theirs])
+        if level is not None and len(points) != len(self.points):
+            raise ValueError(f"no particle sets are kept for level {level:g}: name it in the filter's levels")
         weights = small.exp(logs - logs.max())
         return points, weights / weights.sum()
 
-    def _level_sets(self, level: float) -> tuple[Floats, Floats]:
-        tree = self.tree
-        alone = (tree.death[self.classes] > level) & (tree.birth[self.classes] <= level)
-        points, logs, held = [self.points[alone]], [self.log_weights[alone]], int(alone.sum())
-        if self.stack is not None:
-            nodes, start = self.stack.nodes, self.stack.start
-            for a in np.flatnonzero((tree.birth[nodes] <= level) & (level < tree.death[nodes]) & (np.diff(start) > 0)):
-                points.append(self.stack.points[start[a] : start[a + 1]])
-                logs.append(self.stack.log_weights[start[a] : start[a + 1]])
-                held += int(start[a + 1] - start[a])
-        if held != len(self.points):
-            raise ValueError(f"no particle sets are kept for level {level:g}: name it in the filter's levels")
-        return np.concatenate(points), np.concatenate(logs)
+    def _copies(self, level: float | None) -> tuple[Floats, Floats]:
+        """Positions and log-weights of the particles in coarse sets, of a level or all; a bootstrap filter has none."""
+        return self.points[:0], self.log_weights[:0]
 
     def mean(self, estimate: Estimate = "base", *, level: float | None = None) -> Floats:
         """Estimated position ``(d,)``, metres: weighted mean of particles.
@@ -279,40 +245,26 @@ class Belief:
     def cov(self, estimate: Estimate = "base", *, level: float | None = None) -> Floats:
         """Covariance ``(d, d)`` of the position, square metres, over the same particles as ``mean``."""
         points, weights = self._cloud(estimate, level)
-        between = small.covariance(weights, points, small.mean(weights, points))
-        if self.gaussians is None:
-            return between
-        covs = self.gaussians.covs
-        return between + small.mean(weights, covs.reshape(len(covs), -1)).reshape(between.shape)
+        return small.covariance(weights, points, small.mean(weights, points))
 
     def save(self, directory: str | os.PathLike[str]) -> None:
         """Store bit for bit as a directory of arrays and a manifest; ``load`` needs the same model again."""
-        arrays = {
-            "points": self.points,
-            "classes": self.classes,
-            "log_weights": self.log_weights,
-            "key": self.key,
-        }
-        if self.stack is not None:
-            s = self.stack
-            arrays |= {"nodes": s.nodes, "start": s.start, "copies": s.points}
-            arrays |= {"copy_of": s.particle, "copied": s.copied, "factors": s.factors}
-        if self.gaussians is not None:
-            arrays |= self.gaussians._asdict()
-        evidence = self.log_evidence
-        meta = {
-            "step": self.step,
-            "time": self.time,
-            "log_evidence": None if evidence is None else "-inf" if evidence == -math.inf else evidence,
-            "recoveries": self.recoveries,
-            "ignored": self.ignored,
-            "tree": _fingerprint(self.tree),
-        }
-        store.save(directory, arrays, meta, KIND)
+        meta = {name: getattr(self, name) for name in _NUMBERS}
+        meta |= {name: _told(getattr(self, name)) for name in _EVIDENCE}
+        meta |= {"filter": self.filter, "tree": _fingerprint(self.tree)}
+        store.save(directory, self._arrays(), meta, KIND)
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        return {name: getattr(self, name) for name in _ARRAYS}
+
+    @classmethod
+    def _more(cls, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+        """Fields of this kind of belief from the arrays stored."""
+        return {}
 
     @classmethod
     def load(cls, directory: str | os.PathLike[str], tree: Filtration) -> Belief:
-        """Read a stored belief back.
+        """Read a stored belief of any kind back.
 
         Args:
             tree: the filtration of the model it was made with (``model.filtration``).
@@ -324,25 +276,18 @@ class Belief:
         if meta.get("tree") != _fingerprint(tree):
             raise store.StoreError(f"{directory} was made with another filtration")
         try:
-            stack = None
-            if "nodes" in arrays:
-                nodes, start, copies = arrays["nodes"], arrays["start"], arrays["copies"]
-                weights = arrays["copy_of"], arrays["copied"], arrays["factors"]
-                stack = Stack(nodes, start, *weights, partial(np.asarray, copies))
-            evidence = meta["log_evidence"]
-            return cls(
+            kind = _KINDS[meta["filter"]] if "filter" in meta else _kind_of(arrays, tree)
+            numbers = {name: meta[name] for name in _NUMBERS}
+            evidence = _heard(meta["log_evidence"])
+            before = None if evidence is None else math.nan if meta["recoveries"] else evidence  # of an older version
+            since = _heard(meta["log_evidence_since"]) if "log_evidence_since" in meta else before
+            return kind(
                 tree=tree,
-                points=arrays["points"],
-                classes=arrays["classes"],
-                log_weights=arrays["log_weights"],
-                key=arrays["key"],
-                step=int(meta["step"]),
-                time=meta["time"],
-                log_evidence=None if evidence is None else float(evidence),
-                recoveries=int(meta["recoveries"]),
-                ignored=int(meta["ignored"]),
-                stack=stack,
-                gaussians=Gaussians(*(arrays[name] for name in Gaussians._fields)) if "covs" in arrays else None,
+                log_evidence=evidence,
+                log_evidence_since=since,
+                **{name: arrays[name] for name in _ARRAYS},
+                **numbers,
+                **kind._more(arrays),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise store.StoreError(f"{directory} is damaged: {error}") from None
@@ -362,6 +307,110 @@ class Belief:
         levels = self.tree.levels(4)
         tables = "".join(self.level(b)._repr_html_() for b in levels if b >= self._sums[1])
         return f"<p>{escape(repr(self))}</p>{tables}"
+
+
+class TrackBelief(Belief):
+    """Of ``BL1``: every particle follows a single track."""
+
+    filter = "BL1"
+
+
+class FieldBelief(Belief):
+    """Of ``BL2``: every particle follows the root, the field of all tracks."""
+
+    filter = "BL2"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StackBelief(Belief):
+    """Of ``MHPF``.
+
+    Attributes:
+        stack: the coarse sets of the last step; None where there are none, as before the first.
+    """
+
+    stack: Stack | None = None
+    filter = "MHPF"
+
+    def _copies(self, level: float | None) -> tuple[Floats, Floats]:
+        s = self.stack
+        if s is None:
+            return super()._copies(level)
+        if level is None:
+            return s.points, s.log_weights
+        alive = (self.tree.birth[s.nodes] <= level) & (level < self.tree.death[s.nodes])
+        rows = np.flatnonzero(np.repeat(alive, np.diff(s.start)))
+        return s.points[rows], s.log_weights[rows]
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        s = self.stack
+        if s is None:
+            return super()._arrays()
+        sets = {"nodes": s.nodes, "start": s.start, "copies": s.points}
+        return super()._arrays() | sets | {"copy_of": s.particle, "copied": s.copied, "factors": s.factors}
+
+    @classmethod
+    def _more(cls, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+        if "nodes" not in arrays:
+            return {}
+        weights = arrays["copy_of"], arrays["copied"], arrays["factors"]
+        return {"stack": Stack(arrays["nodes"], arrays["start"], *weights, partial(np.asarray, arrays["copies"]))}
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class GaussianBelief(Belief):
+    """Of ``Calibrated``: every particle is a Gaussian about its position.
+
+    Attributes:
+        gaussians: what the particles carry beside the mean of their position.
+    """
+
+    gaussians: Gaussians
+    filter = "Calibrated"
+
+    def cov(self, estimate: Estimate = "base", *, level: float | None = None) -> Floats:
+        """Covariance ``(d, d)`` of the position, square metres, between the Gaussians and within them."""
+        _, weights = self._cloud(estimate, level)
+        covs = self.gaussians.covs
+        within = small.mean(weights, covs.reshape(len(covs), -1)).reshape(covs.shape[1:])
+        return super().cov(estimate, level=level) + within
+
+    def _arrays(self) -> dict[str, NDArray[Any]]:
+        return super()._arrays() | self.gaussians._asdict()
+
+    @classmethod
+    def _more(cls, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+        return {"gaussians": Gaussians(*(arrays[name] for name in Gaussians._fields))}
+
+
+class EarlierBelief(StackBelief, TrackBelief):
+    """Stored before beliefs told whose they are, and without coarse sets: ``BL1`` and ``MHPF`` take it alike."""
+
+    filter = "BL1 or MHPF"
+
+
+_KINDS = {kind.filter: kind for kind in (TrackBelief, FieldBelief, StackBelief, GaussianBelief, EarlierBelief)}
+_ARRAYS = ("points", "classes", "log_weights", "key")
+_NUMBERS = ("step", "time", "recoveries", "ignored")
+_EVIDENCE = ("log_evidence", "log_evidence_since")
+
+
+def _kind_of(arrays: dict[str, NDArray[Any]], tree: Filtration) -> type[Belief]:
+    """Whose a belief is that was stored before beliefs told."""
+    if "covs" in arrays:
+        return GaussianBelief
+    if "nodes" in arrays:
+        return StackBelief
+    return FieldBelief if len(tree) > 1 and (arrays["classes"] == tree.root).all() else EarlierBelief
+
+
+def _told(evidence: float | None) -> float | str | None:
+    """Evidence as JSON may hold it: numbers that are not finite as text."""
+    return evidence if evidence is None or math.isfinite(evidence) else str(evidence)
+
+
+def _heard(evidence: float | str | None) -> float | None:
+    return None if evidence is None else float(evidence)
 
 
 def _fingerprint(tree: Filtration) -> str:

@@ -10,13 +10,13 @@ import numpy as np
 from wakefold.base.units import Time
 from wakefold.evidence.evidence import Evidence, in_order
 from wakefold.evidence.fix import Fix
-from wakefold.filters.belief import Belief
+from wakefold.filters.belief import Belief, FieldBelief, TrackBelief
 from wakefold.filters.kernels import particles as kernel
-from wakefold.filters.particles import NOISE, ParticleFilter, elapsed
+from wakefold.filters.particles import NOISE, Kind, ParticleFilter, elapsed
 from wakefold.model.model import Model
 
 
-class BL1(ParticleFilter):
+class BL1(ParticleFilter[TrackBelief]):
     """Bootstrap filter of which each particle follows a single track.
 
     Args:
@@ -25,6 +25,8 @@ class BL1(ParticleFilter):
 
     The other arguments are those of ``ParticleFilter``.
     """
+
+    kind = TrackBelief
 
     def __init__(self, model: Model, particles: int = 100, *, coarse: bool = False, **settings: Any) -> None:
         super().__init__(model, particles, **settings)
@@ -37,7 +39,7 @@ class BL1(ParticleFilter):
         dt: float | None = None,
         *,
         time: Time | None = None,
-    ) -> Belief:
+    ) -> TrackBelief:
         """The belief after ``dt`` seconds (or at ``time``) and the evidence; no evidence is a missing observation.
 
         Raises:
@@ -46,13 +48,13 @@ class BL1(ParticleFilter):
         return _step(self, belief, evidence, dt, time, self.coarse)
 
 
-class BL2(ParticleFilter):
+class BL2(ParticleFilter[FieldBelief]):
     """Bootstrap filter of which all particles follow the averaged field of all tracks; ignores coarse evidence.
 
     The arguments are those of ``ParticleFilter``.
     """
 
-    single = False
+    single, kind = False, FieldBelief
 
     def step(
         self,
@@ -61,51 +63,38 @@ class BL2(ParticleFilter):
         dt: float | None = None,
         *,
         time: Time | None = None,
-    ) -> Belief:
+    ) -> FieldBelief:
         """See ``BL1.step``."""
         return _step(self, belief, evidence, dt, time, coarse=False)
 
 
 def _step(
-    f: ParticleFilter,
+    f: ParticleFilter[Kind],
     belief: Belief,
     evidence: Sequence[Evidence],
     dt: float | None,
     time: Time | None,
     coarse: bool,
-) -> Belief:
-    tree, total = f.model.filtration, belief.log_evidence
-    items = in_order(evidence, tree)
+) -> Kind:
+    items = in_order(evidence, f.model.filtration)
     dt, now = elapsed(belief, dt, time)
     points, classes, logs = f._open(belief)
     f._roll(belief, NOISE, points, classes, dt)
-    recoveries = ignored = 0
+    ignored, told = belief.ignored, []
     for level, item in items:
         if isinstance(item, Fix):
             gain, met = kernel.weigh(points, *f._fix(item), logs)
             if not met:
-                recoveries += 1
                 points, classes = f._recover_fix(belief, item, classes, logs)
                 logs = f._even.copy()
         elif coarse:
             gain = kernel.multiply(logs, f._coarse(item, level)[classes])
-            if gain == -np.inf:
-                recoveries += 1
+            met = gain > -np.inf
+            if not met:
                 classes = f._recover_class(belief, item, level)
                 logs = f._even.copy()
         else:
             ignored += 1
             continue
-        total = None if total is None else total + gain
-    return Belief(
-        tree=tree,
-        points=points,
-        classes=classes,
-        log_weights=logs,
-        key=belief.key,
-        step=belief.step + 1,
-        time=now,
-        log_evidence=total,
-        recoveries=belief.recoveries + recoveries,
-        ignored=belief.ignored + ignored,
-    )
+        told.append((gain, not met))
+    return f._after(belief, points, classes, logs, now, told, ignored=ignored)

@@ -17,19 +17,9 @@ from wakefold.evidence.coarse import CoarseClass, alive_classes, coarse_log_g
 from wakefold.evidence.confusion import Confusion, Reliability
 from wakefold.evidence.evidence import Evidence, in_order
 from wakefold.evidence.fix import Fix
-from wakefold.filters.belief import Belief, Gaussians
+from wakefold.filters.belief import Belief, GaussianBelief, Gaussians
 from wakefold.filters.kernels import particles as kernel
-from wakefold.filters.particles import (
-    LOST,
-    RECOVER,
-    START,
-    Floats,
-    Ints,
-    ParticleFilter,
-    check_tree,
-    elapsed,
-    pick_strata,
-)
+from wakefold.filters.particles import LOST, RECOVER, START, Floats, Ints, ParticleFilter, elapsed, pick_strata
 from wakefold.model.deviation import KINDS, Deviation
 from wakefold.model.kernels import components
 from wakefold.model.model import Model
@@ -47,7 +37,7 @@ class _Cloud(NamedTuple):
     trust: Floats
 
 
-class Calibrated(ParticleFilter):
+class Calibrated(ParticleFilter[GaussianBelief]):
     """Mixture Kalman filter over the tracks: nothing about classes is left to chance.
 
     Each particle is a track with a Gaussian for where the agent is beside it, moved by the track's velocity and
@@ -71,6 +61,8 @@ class Calibrated(ParticleFilter):
     Raises:
         ValueError: a setting out of range; the message names it.
     """
+
+    kind = GaussianBelief
 
     def __init__(
         self,
@@ -103,7 +95,7 @@ class Calibrated(ParticleFilter):
         at: Literal["any", "begin"] = "any",
         time: Time | None = None,
         agent: str | None = None,
-    ) -> Belief:
+    ) -> GaussianBelief:
         """The prior belief about an agent: class uniform over the tracks, time uniform along the track.
 
         Args:
@@ -123,7 +115,7 @@ class Calibrated(ParticleFilter):
         else:
             points, covs, spreads, classes, logs, trust = self._along(float(u[0]), at == "begin")
         gaussians = Gaussians(covs, spreads, trust)
-        return Belief(self.model.filtration, points, classes, logs, key, time=now, gaussians=gaussians)
+        return GaussianBelief(self.model.filtration, points, classes, logs, key, time=now, gaussians=gaussians)
 
     def _along(self, u: float, begin: bool) -> _Cloud:
         """Every track at its first point, or cut into equal times with components over each piece."""
@@ -182,20 +174,20 @@ class Calibrated(ParticleFilter):
         dt: float | None = None,
         *,
         time: Time | None = None,
-    ) -> Belief:
+    ) -> GaussianBelief:
         """The belief after ``dt`` seconds (or at ``time``) and the evidence; no evidence is a missing observation.
 
         Raises:
             ValueError, TypeError: evidence that does not fit the model, or a time that runs backwards.
         """
-        tree, total = self.model.filtration, belief.log_evidence or 0.0
+        tree = self.model.filtration
         items = in_order(evidence, tree)
         dt, now = elapsed(belief, dt, time)
         cloud = self._opened(belief)
         if self.depletion > 0.0:
             components.mix_classes(cloud.log_weights, cloud.classes, self.depletion, len(tree))
         self._advance(cloud, dt)
-        recoveries = 0
+        told = []
         for level, item in items:
             before = cloud.log_weights.copy()
             if isinstance(item, Fix):
@@ -208,34 +200,23 @@ class Calibrated(ParticleFilter):
                 components.weigh_report(logs, *self._report(cloud, item, level), cloud.trust, self.reliability.nodes)
                 lost = False
             gain = kernel.log_sum(logs)
-            total += gain
-            if lost or gain == -math.inf:
-                recoveries += 1
+            lost = lost or gain == -math.inf
+            told.append((gain, lost))
+            if lost:
                 cloud = self._recovered(belief, cloud._replace(log_weights=before), item, level)
                 continue
             if isinstance(item, Fix) and self.deviation.power < 1.0:
                 components.temper(logs, before, cloud.classes, self.deviation.power, len(tree))
                 gain = kernel.log_sum(logs)
             logs -= gain
-        return Belief(
-            tree=tree,
-            points=cloud.points,
-            classes=cloud.classes,
-            log_weights=cloud.log_weights,
-            key=belief.key,
-            step=belief.step + 1,
-            time=now,
-            log_evidence=total,
-            recoveries=belief.recoveries + recoveries,
-            gaussians=Gaussians(cloud.covs, cloud.spreads, cloud.trust),
-        )
+        gaussians = Gaussians(cloud.covs, cloud.spreads, cloud.trust)
+        return self._after(belief, cloud.points, cloud.classes, cloud.log_weights, now, told, gaussians=gaussians)
 
     def _opened(self, belief: Belief) -> _Cloud:
         """A copy of the components of a belief."""
-        check_tree(belief, self.model.filtration)
-        own = belief.gaussians
-        if own is None or own.trust.shape[1] != len(self.reliability.nodes):
-            raise ValueError("the belief was made by another filter")
+        own = self._own(belief).gaussians
+        if own.trust.shape[1] != len(self.reliability.nodes):
+            raise ValueError("the belief was made by a filter of another reliability: start a new one with this filter")
         points, classes, logs = np.array(belief.points), np.array(belief.classes), np.array(belief.log_weights)
         return _Cloud(points, np.array(own.covs), np.array(own.spreads), classes, logs, np.array(own.trust))
 
@@ -284,10 +265,10 @@ class Calibrated(ParticleFilter):
         return self._cloud(points, covs, np.full(n, (weights * cloud.spreads).sum()), classes, small.log(count))
 
     @overload
-    def forecast(self, belief: Belief, horizon: float) -> Belief: ...
+    def forecast(self, belief: Belief, horizon: float) -> GaussianBelief: ...
     @overload
-    def forecast(self, belief: Belief, horizon: Sequence[float]) -> list[Belief]: ...
-    def forecast(self, belief: Belief, horizon: float | Sequence[float]) -> Belief | list[Belief]:
+    def forecast(self, belief: Belief, horizon: Sequence[float]) -> list[GaussianBelief]: ...
+    def forecast(self, belief: Belief, horizon: float | Sequence[float]) -> GaussianBelief | list[GaussianBelief]:
         """The belief about ``horizon`` seconds from now without evidence; several horizons, in rising order, a list."""
         one = isinstance(horizon, (int, float))
         horizons = [float(horizon)] if one else [float(h) for h in horizon]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any, Literal
 
@@ -13,7 +14,7 @@ from wakefold.base.units import Time
 from wakefold.evidence.coarse import CoarseClass
 from wakefold.evidence.evidence import Evidence, in_order
 from wakefold.evidence.fix import Fix
-from wakefold.filters.belief import Belief, Stack
+from wakefold.filters.belief import Belief, Stack, StackBelief
 from wakefold.filters.kernels import particles as kernel
 from wakefold.filters.particles import COPIES, NOISE, NONE, Floats, Ints, ParticleFilter, elapsed
 from wakefold.model.kernels import motion
@@ -22,7 +23,7 @@ from wakefold.model.model import Model
 Rule = Literal["arxiv2016", "gsi2017"]
 
 
-class MHPF(ParticleFilter):
+class MHPF(ParticleFilter[StackBelief]):
     """A bank of particle filters, one for each level of the filtration, consistent over the tree.
 
     Args:
@@ -37,6 +38,8 @@ class MHPF(ParticleFilter):
     Raises:
         ValueError: a setting out of range; the message names it.
     """
+
+    kind = StackBelief
 
     def __init__(
         self,
@@ -86,25 +89,23 @@ class MHPF(ParticleFilter):
         dt: float | None = None,
         *,
         time: Time | None = None,
-    ) -> Belief:
+    ) -> StackBelief:
         """The belief after ``dt`` seconds (or at ``time``) and the evidence; no evidence is a missing observation.
 
         Raises:
             ValueError, TypeError: evidence that does not fit the model, or a time that runs backwards.
         """
-        tree, total = self.model.filtration, belief.log_evidence
-        items = in_order(evidence, tree)
+        items = in_order(evidence, self.model.filtration)
         dt, now = elapsed(belief, dt, time)
         up = self._up(*(level for level, item in items if not isinstance(item, Fix)))
         points, classes, logs = self._open(belief)  # Algorithm 1, lines 12-13 of the step before
         sets = _Sets(self, classes, up, logs, points.copy(), belief, dt)  # lines 3-9 for the coarse sets
         self._roll(belief, NOISE, points, classes, dt)  # lines 7-9
-        recoveries = 0
+        told = []
         for level, item in items:  # lines 10-11, Algorithm 3
             if isinstance(item, Fix):
                 gain, met = kernel.weigh(points, *self._fix(item), logs)
                 if not met:
-                    recoveries += 1
                     points, classes = self._recover_fix(belief, item, classes, logs)
                     logs = self._even.copy()
                     sets = _Sets(self, classes, up, logs, points, belief)
@@ -112,26 +113,17 @@ class MHPF(ParticleFilter):
                     sets.spread_fix(logs)
             else:
                 gain = sets.observe(logs, item, level)
-                if gain == -np.inf:
-                    recoveries += 1
+                met = gain > -np.inf
+                if not met:
                     classes = self._recover_class(belief, item, level)
                     logs = self._even.copy()
                     sets = _Sets(self, classes, up, logs, points, belief)
-            total = None if total is None else total + gain
+            told.append((gain, not met))
         kernel.normalise(logs)
-        return Belief(
-            tree=tree,
-            points=points,
-            classes=classes,
-            log_weights=logs,
-            key=belief.key,
-            step=belief.step + 1,
-            time=now,
-            log_evidence=total,
-            recoveries=belief.recoveries + recoveries,
-            ignored=belief.ignored,
-            stack=sets.stack(),
-        )
+        return self._after(belief, points, classes, logs, now, told, stack=sets.stack())
+
+    def _bare(self, belief: StackBelief) -> StackBelief:
+        return replace(belief, stack=None)
 
 
 class _Sets:

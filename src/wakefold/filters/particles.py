@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,28 +26,18 @@ from wakefold.model.kernels import motion
 from wakefold.tracks.shaping import along
 
 if TYPE_CHECKING:
-    from wakefold.model.filtration import Filtration
     from wakefold.model.model import Model
 
 Resampling = Literal["systematic", "stratified", "multinomial", "residual"]
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Kind = TypeVar("Kind", bound=Belief)
 
 START, OPEN, NOISE, COPIES, RECOVER, FORECAST = range(6)  # purposes of random streams
 FAMILIES: dict[str, int] = {"log": kernel.LOG, "gaussian": kernel.GAUSSIAN, "student": kernel.STUDENT}
 NOISES = {"gaussian": motion.GAUSSIAN, "uniform": motion.UNIFORM}
 LOST = 6.0  # sd
 NONE = np.empty(0, dtype=np.int64)
-
-
-def check_tree(belief: Belief, tree: Filtration) -> None:
-    """Refuse a belief about the classes of another model, whose numbers mean nothing in this one.
-
-    Raises:
-        ValueError: it is of another filtration.
-    """
-    if belief.tree is not tree and not belief.tree.same_as(tree):
-        raise ValueError("the belief is about the classes of another filtration: start a new one with this filter")
 
 
 def elapsed(belief: Belief, dt: float | None, time: Time | None) -> tuple[float, float | None]:
@@ -110,7 +100,7 @@ def pick_strata(log_weights: Floats, u: Floats, count: int) -> Ints:
     return out
 
 
-class ParticleFilter:
+class ParticleFilter(Generic[Kind]):
     """Settings, prior, motion, the weight of a fix, recovery and forecast: all but the step.
 
     Args:
@@ -129,6 +119,7 @@ class ParticleFilter:
     """
 
     single = True  # particles follow single tracks (BL2: the field of all tracks)
+    kind: ClassVar[type[Belief]]  # of its beliefs: what it makes and takes
 
     def __init__(
         self,
@@ -193,7 +184,7 @@ class ParticleFilter:
         at: Literal["any", "begin"] = "any",
         time: Time | None = None,
         agent: str | None = None,
-    ) -> Belief:
+    ) -> Kind:
         """The prior belief about an agent: class uniform over the tracks, time uniform along the track.
 
         Args:
@@ -217,13 +208,16 @@ class ParticleFilter:
             classes = np.full(self.particles, tree.root)
         evidence = None if self.likelihood == "log" else 0.0
         now = None if time is None else timestamp(time)
-        return Belief(tree, points, classes, self._even, key, time=now, log_evidence=evidence)
+        started: Any = self.kind(
+            tree, points, classes, self._even, key, time=now, log_evidence=evidence, log_evidence_since=evidence
+        )
+        return started
 
     @overload
-    def forecast(self, belief: Belief, horizon: float) -> Belief: ...
+    def forecast(self, belief: Belief, horizon: float) -> Kind: ...
     @overload
-    def forecast(self, belief: Belief, horizon: Sequence[float]) -> list[Belief]: ...
-    def forecast(self, belief: Belief, horizon: float | Sequence[float]) -> Belief | list[Belief]:
+    def forecast(self, belief: Belief, horizon: Sequence[float]) -> list[Kind]: ...
+    def forecast(self, belief: Belief, horizon: float | Sequence[float]) -> Kind | list[Kind]:
         """The base particles rolled ahead without evidence: a belief about ``horizon`` seconds from now.
 
         Several horizons, in rising order, give a list of beliefs along the same sampled paths. The belief it starts
@@ -231,7 +225,7 @@ class ParticleFilter:
         """
         one = isinstance(horizon, (int, float))
         horizons = [float(horizon)] if one else [float(h) for h in horizon]
-        check_tree(belief, self.model.filtration)
+        belief = self._bare(self._own(belief))
         points, done, out = belief.points.copy(), 0.0, []
         for leg, h in enumerate(horizons):
             if not h >= done:
@@ -239,8 +233,56 @@ class ParticleFilter:
             self._roll(belief, FORECAST + leg, points, belief.classes, h - done)
             done = h
             time = None if belief.time is None else belief.time + h
-            out.append(replace(belief, points=points.copy(), time=time, stack=None))
+            out.append(replace(belief, points=points.copy(), time=time))
         return out[0] if one else out
+
+    def _own(self, belief: Belief) -> Kind:
+        """Refuse a belief of another kind of filter, or about other classes, whose numbers mean nothing here.
+
+        Raises:
+            TypeError: it is no belief.
+            ValueError: another kind of filter made it, or it is of another filtration.
+        """
+        if not isinstance(belief, self.kind):
+            if not isinstance(belief, Belief):
+                raise TypeError(f"a filter takes a Belief, as start and step return it, got {belief!r}")
+            made, mine = belief.filter, self.kind.filter
+            raise ValueError(f"the belief was made by another filter, {made}: start a new one with this {mine}")
+        if belief.tree is not self.model.filtration and not belief.tree.same_as(self.model.filtration):
+            raise ValueError("the belief is about the classes of another filtration: start a new one with this filter")
+        own: Any = belief
+        return own
+
+    def _bare(self, belief: Kind) -> Kind:
+        """The belief without what a forecast does not take along."""
+        return belief
+
+    def _after(
+        self,
+        belief: Belief,
+        points: Floats,
+        classes: Ints,
+        log_weights: Floats,
+        time: float | None,
+        told: Sequence[tuple[float, bool]],
+        **more: Any,
+    ) -> Kind:
+        """The belief after a step.
+
+        Args:
+            told: of each item of evidence its log-likelihood, and whether the agent was lost at it and found again.
+            more: what else has changed.
+        """
+        total, since, recoveries = belief.log_evidence, belief.log_evidence_since, belief.recoveries
+        for gain, lost in told:
+            recoveries += lost
+            if total is not None and since is not None:
+                total, since = total + gain, 0.0 if lost else since + gain
+        made: Any = self.kind(
+            belief.tree, points, classes, log_weights, belief.key, belief.step + 1, time, total, since, recoveries,
+            **({"ignored": belief.ignored} | more),
+        )  # fmt: skip
+        return made
 
     # Step 1: resample and replace
 
@@ -250,7 +292,7 @@ class ParticleFilter:
         Under ``ess_threshold`` both happen only when the effective sample size falls below that share of N.
         """
         count, key, step = self.particles, belief.key, belief.step + 1
-        check_tree(belief, self.model.filtration)
+        self._own(belief)
         if len(belief.points) != count:
             raise ValueError(f"the belief has {len(belief.points)} particles, the filter {count}")
         if self.ess_threshold is not None and belief.ess >= self.ess_threshold * count:

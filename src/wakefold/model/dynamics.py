@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wakefold.base.remember import Remembers
 from wakefold.tracks.ragged import ragged_rows
 
 if TYPE_CHECKING:
@@ -25,7 +26,7 @@ DEPARTURES = 20_000  # training points that the default noise is learned from
 
 
 @dataclass(frozen=True, eq=False)
-class Dynamics:
+class Dynamics(Remembers):
     """How the classes move: one velocity field for each class, all read from the same points.
 
     Attributes:

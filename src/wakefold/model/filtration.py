@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from wakefold.base import store
 from wakefold.base.parallel import Executor
+from wakefold.base.remember import Remembers
 from wakefold.base.wording import near_miss
 from wakefold.model.linkage import dendrogram
 from wakefold.model.linkage.distance import frechet_matrix
@@ -35,7 +36,7 @@ _COMPLETE = 10_000  # tracks: a matrix of 0.8 GB and two of half its size
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Filtration:
+class Filtration(Remembers):
     """The classes of M tracks at every resolution.
 
     Class ids: 0..M-1 are the single tracks, in track order; M.. are the merged classes by rising (birth, lo), so the
@@ -131,7 +132,7 @@ class Filtration:
             index = TrackIndex(tracks, threads)
             tree = spanning_tree(tracks, threads, progress, executor=executor, checkpoint=checkpoint, index=index)
             fitted = cls(*dendrogram.leaf_order(*tree), tracks.ids, linkage)
-            fitted.__dict__["_index"] = index  # queries and new tracks ask for it again
+            fitted._indices.append(index)  # queries and new tracks ask for it again
             return fitted
         return cls.from_distances(frechet_matrix(tracks, threads=threads, progress=progress), tracks.ids, linkage)
 
@@ -385,10 +386,15 @@ class Filtration:
     def _range_maxima(self) -> Floats:
         return dendrogram.range_maxima(self.gaps)
 
+    @cached_property
+    def _indices(self) -> list[TrackIndex]:
+        """The index asked for last, if any was."""
+        return []
+
     def _index_of(self, tracks: Tracks) -> TrackIndex:
-        if "_index" not in self.__dict__ or self.__dict__["_index"].tracks is not tracks:
-            self.__dict__["_index"] = TrackIndex(tracks)
-        return self.__dict__["_index"]
+        if not self._indices or self._indices[0].tracks is not tracks:
+            self._indices[:] = [TrackIndex(tracks)]
+        return self._indices[0]
 
     def _check_tracks(self, tracks: Tracks) -> None:
         if len(tracks) != len(self) or not np.array_equal(tracks.ids, self.ids):

@@ -22,7 +22,7 @@ from wakefold.relations.engines.objects import Settings
 from wakefold.relations.kernels.histories import MOST, WIDTH
 from wakefold.relations.model import RelationalModel, Sampler
 from wakefold.relations.predicates import number
-from wakefold.relations.scene import Pairs, Particles, Scene, outline
+from wakefold.relations.scene import CollapsedScene, Pairs, Particles, ParticleScene, Scene, outline
 
 Engine = Literal["bootstrap", "adapted", "rbk", "collapsed"]
 ENGINES = ("bootstrap", "adapted", "rbk", "collapsed")
@@ -114,25 +114,12 @@ class RelationalFilter:
             unpaired._replace(stages=tuple(begin(none) for _ in self.model.activities_of(r)))
             for r in self.model.relations
         )
-        particles = None
-        if count:
-            particles = Particles(np.zeros((count, 2, 0, 2)), np.zeros((count, 0, 0)), np.zeros((count, 0)), whole)
-        return Scene(
-            model=self.model,
-            ids=whole,
-            kinds=whole,
-            serial=whole,
-            mean=np.zeros((0, 2, 2)),
-            cov=np.zeros((0, 3)),
-            own_mean=np.zeros((0, 2, 2)),
-            own_cov=np.zeros((0, 3)),
-            existence=none,
-            unseen=none,
-            pairs=pairs,
-            key=agent_key(self.seed, agent),
-            particles=particles,
-            time=timestamp(time),
-        )
+        state, spread = np.zeros((0, 2, 2)), np.zeros((0, 3))
+        nobody = (self.model, whole, whole, whole, state, spread, none, none, pairs, agent_key(self.seed, agent))
+        if not count:
+            return CollapsedScene(*nobody, time=timestamp(time), own_mean=state, own_cov=spread)
+        particles = Particles(np.zeros((count, 2, 0, 2)), np.zeros((count, 0, 0)), np.zeros((count, 0)), whole)
+        return ParticleScene(*nobody, time=timestamp(time), particles=particles)
 
     def step(
         self,
@@ -174,7 +161,9 @@ class RelationalFilter:
             raise ValueError("the scene was made with another relational model")
         if scan is not None:
             scan.kind_numbers(self.model.kinds)  # whether it knows them all
-        if (scene.particles is None) != (self.settings.engine == "collapsed"):
-            raise ValueError(f"the scene was made by another engine than {self.settings.engine!r}")
-        engine = collapsed if self.settings.engine == "collapsed" else joint
-        return engine.step(self.settings, scene, scan, dt)
+        engine = self.settings.engine
+        if engine == "collapsed" and isinstance(scene, CollapsedScene):
+            return collapsed.step(self.settings, scene, scan, dt)
+        if engine != "collapsed" and isinstance(scene, ParticleScene):
+            return joint.step(self.settings, scene, scan, dt)
+        raise ValueError(f"the scene was made by another engine than {engine!r}")

@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -125,17 +125,15 @@ class Particles:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Scene:
-    """Belief about a scene. Immutable: ``RelationalFilter.step`` makes a new one.
+    """Belief about a scene, of one of two kinds. Immutable: ``RelationalFilter.step`` makes a new one.
 
     Attributes:
         model: what the objects are and what they can be to each other.
         ids: ``(n,)``; kinds: ``(n,)`` places in ``model.kinds``; serial: ``(n,)`` order of first detection.
         mean, cov: ``(n, 2, d)``, ``(n, 3)`` position and velocity of each object as believed, with the covariance
             (position, cross, velocity) averaged over the axes.
-        own_mean, own_cov: each object's own Kalman filter, blind to relations (engine "collapsed").
         existence, unseen: ``(n,)``.
         pairs: for each relation of the model.
-        particles: of the particle engines; None for "collapsed".
         time: seconds.
         log_evidence: log marginal likelihood of all detections so far (approximate where relations are summed out).
         recoveries: how often every particle had no weight and the filter went on from the prediction.
@@ -148,13 +146,10 @@ class Scene:
     serial: Ints
     mean: Floats
     cov: Floats
-    own_mean: Floats
-    own_cov: Floats
     existence: Floats
     unseen: Floats
     pairs: tuple[Pairs, ...]
     key: NDArray[np.uint64]
-    particles: Particles | None = None
     step: int = 0
     serials: int = 0
     time: float = 0.0
@@ -275,10 +270,13 @@ class Scene:
         for i, pairs in enumerate(self.pairs):
             arrays |= {f"pairs_{i}_{name}": getattr(pairs, name) for name in _PAIRS}
             arrays |= {f"pairs_{i}_stages_{j}": stages for j, stages in enumerate(pairs.stages)}
-        if self.particles is not None:
-            arrays |= {f"particles_{name}": getattr(self.particles, name) for name in _PARTICLES}
+        arrays |= self._arrays()
         meta = {name: getattr(self, name) for name in _NUMBERS} | {"model": outline(self.model)}
         store.save(directory, arrays, meta, KIND)
+
+    def _arrays(self) -> dict[str, NDArray]:
+        """What only this kind of scene has, as stored."""
+        return {}
 
     @classmethod
     def load(cls, directory: str | os.PathLike[str], model: RelationalModel) -> Scene:
@@ -296,16 +294,12 @@ class Scene:
                 about = len(model.activities_of(relation))
                 stages = tuple(arrays[f"pairs_{i}_stages_{j}"] for j in range(about))
                 pairs.append(Pairs(**{name: arrays[f"pairs_{i}_{name}"] for name in _PAIRS}, stages=stages))
-            particles = None
+            known: dict[str, Any] = {name: arrays[name] for name in _ARRAYS} | {name: meta[name] for name in _NUMBERS}
+            known |= {"model": model, "pairs": tuple(pairs)}
             if "particles_mean" in arrays:
                 particles = Particles(**{name: arrays[f"particles_{name}"] for name in _PARTICLES})
-            return cls(
-                model=model,
-                pairs=tuple(pairs),
-                particles=particles,
-                **{name: arrays[name] for name in _ARRAYS},
-                **{name: meta[name] for name in _NUMBERS},
-            )
+                return ParticleScene(**known, particles=particles)
+            return CollapsedScene(**known, own_mean=arrays["own_mean"], own_cov=arrays["own_cov"])
         except (KeyError, TypeError) as error:
             raise store.StoreError(f"{directory} is damaged: {error}") from None
 
@@ -331,6 +325,35 @@ class Scene:
         )
 
 
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class CollapsedScene(Scene):
+    """Of the engine "collapsed".
+
+    Attributes:
+        own_mean, own_cov: ``(n, 2, d)``, ``(n, 3)`` each object's own Kalman filter, blind to relations.
+    """
+
+    own_mean: Floats
+    own_cov: Floats
+
+    def _arrays(self) -> dict[str, NDArray]:
+        return {"own_mean": self.own_mean, "own_cov": self.own_cov}
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class ParticleScene(Scene):
+    """Of the engines "bootstrap", "adapted" and "rbk".
+
+    Attributes:
+        particles: joint hypotheses about all objects.
+    """
+
+    particles: Particles
+
+    def _arrays(self) -> dict[str, NDArray]:
+        return {f"particles_{name}": getattr(self.particles, name) for name in _PARTICLES}
+
+
 def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """The first ten rows in HTML, and how many more there are."""
     lines = ["".join(f"<td>{escape(str(value))}</td>" for value in row) for row in rows[:10]]
@@ -340,7 +363,7 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     return f"<table><tr>{top}</tr>" + "".join(f"<tr>{line}</tr>" for line in lines) + "</table>"
 
 
-_ARRAYS = ("ids", "kinds", "serial", "mean", "cov", "own_mean", "own_cov", "existence", "unseen", "key")
+_ARRAYS = ("ids", "kinds", "serial", "mean", "cov", "existence", "unseen", "key")
 _PAIRS = ("first", "second", "p", "looked", "counts", "states", "bits")
 _PARTICLES = ("mean", "cov", "log_weights", "block")
 _NUMBERS = ("step", "serials", "time", "log_evidence", "recoveries")

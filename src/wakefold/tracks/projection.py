@@ -8,9 +8,11 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wakefold.base.remember import Remembers
+
 
 @dataclass(frozen=True)
-class Projection:
+class Projection(Remembers):
     """Azimuthal equidistant projection on WGS84 about a centre, degrees.
 
     Distances from the centre are true. It has no seam (the antimeridian is nowhere special) and works at the

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from wakefold.base.remember import Remembers
 from wakefold.evidence.confusion import Reporter
 from wakefold.evidence.kernels import name_classes
 from wakefold.experiments.mhpf import datasets
@@ -109,7 +110,7 @@ def chosen(name: str, number: int, seed: int) -> list[int]:
     return order[:number].tolist()
 
 
-class Scenario:
+class Scenario(Remembers):
     """One true track, followed under a setting.
 
     Attributes:

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wakefold.base.remember import Remembers
 from wakefold.model.linkage.bounds import MARGIN, boxes_of, extent, features_of, frame_of, in_lanes
 from wakefold.model.linkage.distance import distances_from, frechet_matrix
 from wakefold.tracks.tracks import Floats, Tracks
@@ -17,7 +18,7 @@ Singles = NDArray[np.float32]
 FAR = 2.0**40  # units of the features: further away, a feature is taken to be here, which only lowers the bound
 
 
-class TrackIndex:
+class TrackIndex(Remembers):
     """Tracks in a tree of boxes, to be asked many times. Costs about 300 bytes a track, and 2 µs of a core.
 
     Attributes:

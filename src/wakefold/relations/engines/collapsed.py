@@ -28,13 +28,13 @@ from wakefold.relations.engines.pairs import (
 from wakefold.relations.kernels import pairs as kernel
 from wakefold.relations.kernels.histories import WIDTH
 from wakefold.relations.model import Relation
-from wakefold.relations.scene import Pairs, Scene
+from wakefold.relations.scene import CollapsedScene, Pairs
 
 Floats = NDArray[np.float64]
 NONE = np.zeros(0)
 
 
-def step(s: Settings, scene: Scene, scan: Detections | None, dt: float) -> Scene:
+def step(s: Settings, scene: CollapsedScene, scan: Detections | None, dt: float) -> CollapsedScene:
     """The scene after ``dt`` seconds and one scan; without a scan only time passes."""
     model, objects = s.model, objects_of(scene, scene.own_mean, scene.own_cov)
     believed, spread = np.array(scene.mean), np.array(scene.cov)
@@ -76,7 +76,7 @@ def step(s: Settings, scene: Scene, scan: Detections | None, dt: float) -> Scene
         near = candidates(objects.mean[:, 0], s.gate)
         pairs = [refresh(p, r, s, objects, place, near)[0] for r, p in zip(model.relations, pairs, strict=True)]
     mean, cov = _with_company(s, pairs, objects)
-    return Scene(
+    return CollapsedScene(
         model=model,
         ids=objects.ids,
         kinds=objects.kinds,

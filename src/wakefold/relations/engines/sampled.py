@@ -25,16 +25,15 @@ from wakefold.relations.kernels import sampled as kernel
 from wakefold.relations.kernels.pairs import log_ratios
 from wakefold.relations.kernels.predicates import truth
 from wakefold.relations.model import Relation
-from wakefold.relations.scene import Pairs, Particles, Scene
+from wakefold.relations.scene import Pairs, Particles, ParticleScene
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 LOST = 6.0  # sd: a sampled object of which every particle is farther from its detection is drawn anew
 
 
-def step(s: Settings, scene: Scene, scan: Detections | None, dt: float) -> Scene:
+def step(s: Settings, scene: ParticleScene, scan: Detections | None, dt: float) -> ParticleScene:
     """The scene after ``dt`` seconds and one scan; without a scan only time passes."""
-    assert scene.particles is not None
     model = s.model
     rng = np.random.Generator(np.random.Philox(key=scene.key, counter=[0, 0, scene.step + 1, 0]))
     objects = objects_of(scene, scene.mean, scene.cov)
@@ -56,15 +55,13 @@ def step(s: Settings, scene: Scene, scan: Detections | None, dt: float) -> Scene
     # line 2: it reads the objects alone, so it may follow line 3
     pairs = [_switch(s, r, p, objects, particles, dt, rng) for r, p in zip(model.relations, pairs, strict=True)]
     objects, particles, pairs = _turnover(s, objects, particles, pairs, scan, fresh, scene.serials, rng)
-    return Scene(
+    return ParticleScene(
         model=model,
         ids=objects.ids,
         kinds=objects.kinds,
         serial=objects.serial,
         mean=objects.mean,
         cov=objects.cov,
-        own_mean=np.zeros((0, 2, objects.mean.shape[2])),
-        own_cov=np.zeros((0, 3)),
         existence=objects.existence,
         unseen=objects.unseen,
         pairs=tuple(pairs),
