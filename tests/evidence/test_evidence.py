@@ -33,6 +33,8 @@ def model():
         ({"position": (0.0, 0.0), "sd": 0.0}, "sd"),
         ({"position": (0.0, 0.0), "sd": math.nan}, "sd"),
         ({"position": (0.0, 0.0), "sd": math.inf}, "sd"),
+        ({"position": (0.0, 0.0), "sd": np.array([1.0, 2.0])}, "one for all axes"),
+        ({"position": (0.0, 0.0), "sd": [1.0]}, "one for all axes"),
     ],
 )
 def test_a_fix_names_its_bad_field(arguments, match):

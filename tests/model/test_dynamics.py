@@ -49,7 +49,7 @@ def test_default_epsilon_is_the_larger_of_spacing_and_leaf_death():
     model = wf.learn(tracks)
     steps = np.concatenate([np.linalg.norm(np.diff(t, axis=0), axis=1) for t in tracks])
     deaths = model.filtration.death[: len(tracks)]
-    assert model.dynamics.epsilon == pytest.approx(max(2 * np.median(steps), np.median(deaths)))
+    assert model.dynamics.epsilon == pytest.approx(max(2 * np.median(steps), np.median(deaths)) * (1 + 1e-9), rel=1e-14)
     assert model.dynamics.interval == pytest.approx(
         np.median(np.concatenate([np.diff(tracks.times_of(i)) for i in range(12)]))
     )
@@ -99,3 +99,17 @@ def test_all_points_in_one_place():
     f = wf.MHPF(model, 20, likelihood="log")
     belief = f.step(f.start(), [wf.Fix((1.0, 1.0)), wf.CoarseClass(model.filtration.root)], dt=1.0)
     assert np.isfinite(belief.mean()).all()
+
+
+def test_rounding_does_not_decide_whether_the_default_ball_holds_the_point_that_made_it():
+    for seed in range(300):
+        a, b = np.random.default_rng(seed).normal(size=(2, 1, 2)) * 10
+        model = wf.learn(wf.Tracks.from_arrays([a, b]))
+        assert np.square(a - b).sum() < model.dynamics.reach[0]  # Fréchet distance of two points: the default
+
+
+def test_what_is_no_tracks_is_told_how_to_become_so():
+    arrays = [np.zeros((3, 2)), np.ones((2, 2))]
+    for learn in (wf.learn, wf.Filtration.fit):
+        with pytest.raises(TypeError, match=r"Tracks\.from_arrays"):
+            learn(arrays)

@@ -52,8 +52,8 @@ class Fix:
             if not -90.0 <= lat <= 90.0:
                 raise ValueError(f"Fix lat must be degrees within -90..90, got {lat}")
             self.lonlat = (float(lon), float(lat))
-        if sd is not None and not 0.0 < sd < math.inf:
-            raise ValueError(f"Fix sd must be a positive number of metres, got {sd}")
+        if sd is not None and (np.ndim(sd) > 0 or not 0.0 < sd < math.inf):
+            raise ValueError(f"Fix sd must be a positive number of metres, one for all axes, got {sd}")
         self.sd = None if sd is None else float(sd)
 
     def on_plane(self, projection: Projection | None, dim: int) -> NDArray[np.float64]:

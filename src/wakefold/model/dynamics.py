@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 Noise = Literal["gaussian", "uniform"]
 MAX_SUBSTEPS = 100_000
 SETTINGS = ("epsilon", "interval", "noise", "scale")  # that are kept on disk
+OFF_EDGE = 1e-9  # relative: more than rounding can change a distance by
 DEPARTURES = 20_000  # training points that the default noise is learned from
 
 
@@ -75,7 +76,8 @@ class Dynamics(Remembers):
 
         Args:
             epsilon: metres; by default the larger of twice the median spacing of track points and the median death
-                of the leaves.
+                of the leaves, times 1 + 1e-9: it may itself be the distance of two points, and rounding must not decide
+                whether the open ball holds them. It does.
             noise: see the class.
             scale: by default what the tracks show: how far, robustly (1.4826 times the median absolute residual per
                 axis over the square root of time), a track departs from the velocity of the *other* tracks of the
@@ -88,7 +90,7 @@ class Dynamics(Remembers):
             deaths = filtration.death[: len(tracks)]
             finite = deaths[np.isfinite(deaths)]
             spacing = float(np.median(steps)) if len(steps) else 0.0
-            epsilon = max(2 * spacing, float(np.median(finite)) if len(finite) else 0.0)
+            epsilon = max(2 * spacing, float(np.median(finite)) if len(finite) else 0.0) * (1.0 + OFF_EDGE)
             epsilon = epsilon or max(tracks.diagonal, 1.0)  # every point in one place
         made = cls(
             points=points,

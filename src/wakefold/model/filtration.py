@@ -115,6 +115,8 @@ class Filtration(Remembers):
                 an executor or a checkpoint with complete linkage, a checkpoint that is damaged or of other tracks, or
                 positions so far apart that a distance overflows.
         """
+        if not isinstance(tracks, Tracks):
+            raise TypeError(f"learning takes Tracks, got {type(tracks).__name__}: wrap arrays by Tracks.from_arrays")
         if len(tracks) == 0:
             raise ValueError("no tracks to build a filtration from")
         if linkage not in ("single", "complete"):
