@@ -2,10 +2,13 @@
 
 import itertools
 import math
+import warnings
 
 import naive
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
@@ -363,10 +366,11 @@ def test_certain_reports_that_contradict_each_other_are_a_counted_recovery(model
     assert np.isfinite(f.step(belief, [wf.Fix(model.tracks[0][0])], dt=1.0).mean()).all()
 
 
-def test_fewer_particles_than_tracks(model):
+def test_every_track_is_held_where_there_are_fewer_particles_than_tracks(model):
     f = wf.Calibrated(model, 4)
+    assert f.particles == 9
     for belief in (f.start(), f.start(at="begin"), f.start(fix=wf.Fix(model.tracks[5][0], sd=0.5))):
-        assert len(belief.points) <= 4
+        assert set(belief.classes.tolist()) == set(range(9))
         after = f.step(belief, [wf.Fix(model.tracks[5][0], sd=0.5), wf.CoarseClass(5)], dt=0.0)
         assert after.weights.sum() == pytest.approx(1.0)
         assert np.isfinite(after.mean()).all()
@@ -573,3 +577,32 @@ def test_settings_out_of_range_are_named(model):
         wf.Calibrated(model).start(at="end")
     with pytest.raises(ValueError, match="reporter must name a class"):
         wf.Confusion.learn(model, lambda positions, rng: np.full(len(positions), 99))
+
+
+@given(
+    seed=st.integers(0, 1000),
+    count=st.integers(1, 4),
+    dim=st.integers(1, 3),
+    size=st.sampled_from([1e-9, 1.0, 1e6]),
+    exponents=st.lists(st.floats(-30.0, 9.0), min_size=1, max_size=8),
+)
+def test_any_accuracy_leaves_finite_beliefs_with_sound_covariances(seed, count, dim, size, exponents):
+    rng = np.random.default_rng(seed)
+    tracks = [size * np.cumsum(rng.normal(0.7, 0.5, (int(rng.integers(1, 9)), dim)), axis=0) for _ in range(count)]
+    model = wf.learn(wf.Tracks.from_arrays(tracks), sd=size)
+    f = wf.Calibrated(model, int(rng.integers(1, 9)), seed=seed)
+    belief = f.start(fix=wf.Fix(tracks[0][0], sd=10.0 ** exponents[0])) if seed % 2 else f.start()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for exponent in exponents:
+            at = tracks[0][0] + size * rng.normal(size=dim) * rng.choice([0.0, 1e-12, 1.0])
+            belief = f.step(belief, [wf.Fix(at, sd=10.0**exponent)], dt=float(rng.choice([0.0, 0.5, 3.0])))
+            covs = belief.gaussians.covs
+            assert np.isfinite(belief.points).all()
+            assert np.isfinite(covs).all()
+            variance = np.einsum("nii->ni", covs)
+            assert (variance >= 0).all()
+            least = np.linalg.eigvalsh(covs)[:, 0] >= -1e-12 * variance.max(axis=1)
+            assert dim > 2 or least.all()
+            assert not np.isnan(belief.log_weights).any()
+            assert belief.weights.sum() == pytest.approx(1.0)

@@ -47,8 +47,8 @@ class Calibrated(ParticleFilter[GaussianBelief]):
 
     Args:
         model: what ``wakefold.learn`` made. Its noise is not used.
-        particles: the most there are. They should be at least as many as tracks: with fewer, tracks are drawn when an
-            agent is started (or found again), and no other track is thought of.
+        particles: the most there are, but never fewer than tracks: every track keeps one at least, so a step takes as
+            long as the model has tracks.
         sd: of a fix that does not tell its own, metres; the model's by default.
         deviation: how agents move beside their tracks; by default what the tracks show of one another.
         confusion: what reports of coarse evidence say about where agents are; by default the confidence that each
@@ -79,12 +79,13 @@ class Calibrated(ParticleFilter[GaussianBelief]):
         if not 0.0 <= switching <= 1.0:
             raise ValueError(f"switching must be a share within [0, 1], got {switching}")
         super().__init__(model, particles, sd=sd, depletion=switching, seed=seed)
+        self.particles = max(self.particles, len(model.tracks))
         self.deviation = Deviation.learn(model) if deviation is None else deviation
         self.confusion = confusion
         self.reliability = Reliability.certain() if reliability is None else Reliability.beta(*reliability)
         each = self.particles // len(model.tracks)
-        self._ratios = np.unique(self.deviation.quantiles(min(KINDS, max(each, 1))))
-        self._pieces = max(each // len(self._ratios), 1)
+        self._ratios = np.unique(self.deviation.quantiles(min(KINDS, each)))
+        self._pieces = each // len(self._ratios)
 
     # Prior
 
@@ -113,18 +114,15 @@ class Calibrated(ParticleFilter[GaussianBelief]):
         if fix is not None:
             points, covs, spreads, classes, logs, trust = self._around(fix, np.zeros(len(tracks)), float(u[0]))
         else:
-            points, covs, spreads, classes, logs, trust = self._along(float(u[0]), at == "begin")
+            points, covs, spreads, classes, logs, trust = self._along(at == "begin")
         gaussians = Gaussians(covs, spreads, trust)
         return GaussianBelief(self.model.filtration, points, classes, logs, key, time=now, gaussians=gaussians)
 
-    def _along(self, u: float, begin: bool) -> _Cloud:
+    def _along(self, begin: bool) -> _Cloud:
         """Every track at its first point, or cut into equal times with components over each piece."""
         tracks, kinds = self.model.tracks, len(self._ratios)
         pieces = 1 if begin else self._pieces
-        if len(tracks) * kinds <= self.particles:
-            chosen = np.repeat(np.arange(len(tracks)), pieces * kinds)
-        else:  # fewer particles than tracks
-            chosen = ((np.arange(self.particles) + u) * (len(tracks) / self.particles)).astype(np.int64)
+        chosen = np.repeat(np.arange(len(tracks)), pieces * kinds)
         number = np.arange(len(chosen))
         share = np.zeros(len(chosen)) if begin else (number // kinds % pieces + 0.5) / pieces
         points = along(tracks, chosen, share)
@@ -300,14 +298,11 @@ def _thinned(logs: Floats, starts: Ints, particles: int, u: float) -> tuple[Ints
     """Points that become components, and their log-weights.
 
     Of every track (its points are ``starts[k]:starts[k + 1]``) as many as it may have, drawn systematically, share its
-    exact mass; with fewer particles than tracks, points are drawn from all of them.
+    exact mass.
     """
     tracks = len(starts) - 1
     most = particles // tracks
     one = np.array([u])
-    if most == 0:
-        rows, count = np.unique(pick_strata(logs, one, particles), return_counts=True)
-        return rows, small.log(count)
     rows, weights = [], []
     for first, last in itertools.pairwise(starts):
         mass = kernel.log_sum(logs[first:last])

@@ -11,6 +11,8 @@ from wakefold.base.compile import inner, kernel
 from wakefold.model.kernels.boxes import WIDTH, bare, hold, nearest, pointer, scratch
 from wakefold.model.kernels.motion import drifts
 
+TINY = 1e-300  # square metres
+
 
 @inner
 def _heading(v, along, dims):
@@ -21,6 +23,17 @@ def _heading(v, along, dims):
     for j in range(len(dims)):
         for k in range(len(dims)):
             along[j, k] = v[j] * v[k] / speed2 if speed2 > 0.0 else 0.0
+
+
+@inner
+def _sound(cov, dims):
+    """Take out of a covariance (d, d) what rounding has put in: variances below 0, correlations beyond 1."""
+    for j in range(len(dims)):
+        cov[j, j] = max(cov[j, j], 0.0)
+        for k in range(j):
+            most = math.sqrt(cov[j, j]) * math.sqrt(cov[k, k])
+            cov[j, k] = min(max(cov[j, k], -most), most)
+            cov[k, j] = min(max(cov[k, j], -most), most)
 
 
 @kernel
@@ -63,6 +76,7 @@ def advance(
                     for m in range(d):
                         total += moved[j, m] * shrink[m, k]  # ``shrink`` is symmetric
                     covs[i, j, k] = total
+            _sound(covs[i], dims)
     hold(room)
 
 
@@ -83,7 +97,8 @@ def correct(points, covs, fix, sd2, out, dims):
                 total = covs[i, j, k] + (sd2 if j == k else 0.0)
                 for m in range(k):
                     total -= root[j, m] * root[k, m]
-                root[j, k] = math.sqrt(total) if j == k else total / root[k, k]
+                # No pivot is below the least eigenvalue, which is ``sd2`` at least; rounding may take it below 0.
+                root[j, k] = math.sqrt(max(total, sd2, TINY)) if j == k else total / root[k, k]
             logs -= math.log(root[j, j])
             gap = fix[j] - points[i, j]
             for m in range(j):
@@ -109,6 +124,7 @@ def correct(points, covs, fix, sd2, out, dims):
                 for m in range(d):
                     total -= solved[m, j] * solved[m, k]
                 covs[i, j, k] = total
+        _sound(covs[i], dims)
     return math.sqrt(closest)
 
 
