@@ -580,3 +580,8 @@ def test_evidence_since_the_last_recovery_goes_on_where_the_total_is_lost(model,
     again = wf.Belief.load(tmp_path / "belief", model.filtration)
     assert type(again) is type(after)
     assert again.log_evidence_since == after.log_evidence_since
+
+
+def test_a_filter_tells_how_many_classes_it_draws_anew(model):
+    assert [wf.MHPF(model, 200, depletion=v).redrawn for v in (0.0, 0.001, 0.01, 1.0)] == [0, 0, 2, 200]
+    assert wf.BL2(model, 200, depletion=0.5).redrawn == 0

@@ -57,7 +57,11 @@ def track(
     ] = None,
     particles: Annotated[int, typer.Option(help="Particles of each agent.", min=1, max=1_000_000)] = 200,
     depletion: Annotated[
-        float, typer.Option(help="Share of the particles whose class is drawn anew, from all tracks, in every step.")
+        float,
+        typer.Option(
+            help="Share of the particles whose class is drawn anew, from all tracks, in every step. "
+            "One that rounds to none, as .001 of 200, lets a lost agent be found on any track."
+        ),
     ] = 0.001,
     seed: Annotated[int, typer.Option(help="Of all random numbers.", min=0)] = 0,
     forecast: Annotated[str, opt("Forecasts to add to every answer, such as 5min,15min.")] = "",

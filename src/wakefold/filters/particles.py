@@ -109,7 +109,8 @@ class ParticleFilter(Generic[Kind]):
         likelihood: "gaussian" or "student" density of a fix, with proper coarse evidence; "log" for the papers' weight.
         sd: of a fix that does not tell its own, metres; the model's by default.
         dof: degrees of freedom of "student".
-        depletion: share v of the particles whose class is redrawn whenever the set is resampled.
+        depletion: share v of the particles whose class is redrawn whenever the set is resampled: ``redrawn`` =
+            round(v N) of them. Where that is none, v only lets an agent that was lost be found on any track.
         resampling: "systematic", "stratified", "multinomial" or "residual".
         ess_threshold: resample when the effective sample size falls below this share of N; None: every step.
         seed: of all agents' random streams.
@@ -159,7 +160,7 @@ class ParticleFilter(Generic[Kind]):
         self.ess_threshold = ess_threshold
         self.seed = int(seed)
         self._noise = NOISES[model.dynamics.noise], model.dynamics.scale
-        self._changed = round(self.depletion * self.particles) if self.single else 0
+        self.redrawn = round(self.depletion * self.particles) if self.single else 0
         self._even = np.full(self.particles, -math.log(self.particles))  # log-weights of an unweighted set
         self._remember()
 
@@ -301,7 +302,7 @@ class ParticleFilter(Generic[Kind]):
         if self.resampling in ("multinomial", "residual"):
             kept = resample(belief.log_weights, _draw(random.uniforms, key, step, OPEN, (first,)), self.resampling)
         state, leaves = (belief.log_weights, belief.points, belief.classes), len(self.model.filtration)
-        points, classes = kernel.opened(key, step, OPEN, *state, kept, first, self._changed, leaves)
+        points, classes = kernel.opened(key, step, OPEN, *state, kept, first, self.redrawn, leaves)
         return points, classes, self._even.copy()
 
     # Step 2: motion
