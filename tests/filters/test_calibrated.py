@@ -73,7 +73,7 @@ def naive_correct(component, fix, sd):
     return (mean + gain @ (fix - mean), cov - gain @ s @ gain.T, track, spread), likelihood
 
 
-@pytest.mark.parametrize("dim", [1, 2, 3])
+@pytest.mark.parametrize("dim", [1, 2, 3, 5])
 def test_a_step_is_the_naive_step(dim):
     model = wf.learn(some_tracks(dim, dim=dim), sd=1.5)
     deviation, tree = beside(model, ratios=(0.5, 1.0, 2.0)), model.filtration

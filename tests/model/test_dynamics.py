@@ -19,7 +19,7 @@ def bundle(seed=0, count=12, dim=2):
     return wf.Tracks.from_arrays(tracks, times)
 
 
-@pytest.mark.parametrize("dim", [1, 2, 3])
+@pytest.mark.parametrize("dim", [1, 2, 3, 5])
 def test_velocity_is_the_inverse_distance_mean_in_the_ball_of_the_class(dim):
     tracks = bundle(dim, dim=dim)
     model = wf.learn(tracks, epsilon=1.5)
@@ -113,3 +113,27 @@ def test_what_is_no_tracks_is_told_how_to_become_so():
     for learn in (wf.learn, wf.Filtration.fit):
         with pytest.raises(TypeError, match=r"Tracks\.from_arrays"):
             learn(arrays)
+
+
+@pytest.mark.parametrize("dim", [4, 7])
+def test_configuration_spaces_of_many_dimensions(dim, tmp_path):
+    """Distances, tree and filters; velocities against their definition are tested above."""
+    from wakefold.model.linkage import dendrogram
+    from wakefold.model.linkage.spanning import spanning_tree
+
+    tracks = bundle(dim, dim=dim)
+    distances = wf.frechet_matrix(tracks)
+    assert np.array_equal(distances, [[naive.frechet(a, b) for b in tracks] for a in tracks])
+    model = wf.learn(tracks)
+    gaps = dendrogram.leaf_order(*spanning_tree(tracks))[1]
+    assert np.array_equal(np.sort(gaps), np.sort(model.filtration.gaps))
+    model.save(tmp_path / "model")
+    again = wf.load(tmp_path / "model")
+    for make in (wf.BL1, wf.MHPF, wf.Calibrated):
+        one, two = (make(m, 60, seed=1) for m in (model, again))
+        a, b = (f.step(f.start(), [wf.Fix(tracks[4][0], sd=0.5)], dt=1.0) for f in (one, two))
+        assert a.mean("stack").shape == (dim,)
+        assert np.array_equal(a.points, b.points)
+        assert np.isfinite(a.cov()).all()
+    with pytest.raises(ValueError, match="d = 1 to 16"):
+        wf.Tracks.from_arrays([np.zeros((2, 17))])

@@ -78,7 +78,7 @@ def test_arrays_cannot_be_written():
         ({"offsets": np.array([0, 3, 4])}, "offsets must run from 0 to 5"),
         ({"ids": np.array(["a", "a"])}, "'a' is used more than once"),
         ({"ids": np.array(["a"])}, "2 tracks but 1 ids"),
-        ({"points": np.zeros((5, 4))}, "d = 1, 2 or 3"),
+        ({"points": np.zeros((5, 17))}, "d = 1 to 16"),
         ({"attributes": {"name": np.zeros(3)}}, "attribute 'name' must be"),
         ({"columns": {"sog": np.zeros(2)}}, "column 'sog' must be"),
         ({"attributes": {"name": np.array(["x", None])}}, "Python objects"),

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wakefold.tracks.arrays import MOST_AXES
+
 if TYPE_CHECKING:
     from wakefold.tracks.projection import Projection
 
@@ -40,8 +42,8 @@ class Fix:
             if lon is not None or lat is not None:
                 raise ValueError("Fix takes a position or lon and lat, not both")
             self.position = np.atleast_1d(np.asarray(position, dtype=np.float64))
-            if self.position.ndim != 1 or not 1 <= len(self.position) <= 3:
-                raise ValueError(f"Fix position must be 1 to 3 coordinates, got shape {self.position.shape}")
+            if self.position.ndim != 1 or not 1 <= len(self.position) <= MOST_AXES:
+                raise ValueError(f"Fix position must be 1 to {MOST_AXES} coordinates, got shape {self.position.shape}")
             if not all(map(math.isfinite, self.position.tolist())):
                 raise ValueError(f"Fix position must be finite, got {self.position.tolist()}")
         else:

@@ -15,6 +15,7 @@ from wakefold.tracks import ragged
 from wakefold.tracks.projection import Projection
 
 Floats = NDArray[np.float64]
+MOST_AXES = 16  # kernels unroll the loops over coordinates: more take long to compile
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -32,8 +33,8 @@ class TrackArrays:
 
     def __post_init__(self) -> None:
         points = np.ascontiguousarray(self.points, dtype=np.float64)
-        if points.ndim != 2 or points.shape[1] not in (1, 2, 3):
-            raise ValueError(f"points must be (P, d) with d = 1, 2 or 3, got shape {points.shape}")
+        if points.ndim != 2 or not 1 <= points.shape[1] <= MOST_AXES:
+            raise ValueError(f"points must be (P, d) with d = 1 to {MOST_AXES}, got shape {points.shape}")
         times = np.ascontiguousarray(self.times, dtype=np.float64)
         offsets = np.ascontiguousarray(self.offsets, dtype=np.int64)
         ids = np.asarray(self.ids, dtype=np.str_)

@@ -25,7 +25,7 @@ class Tracks(TrackArrays):
     """Many tracks in one set of flat arrays; track ``i`` owns the rows ``offsets[i]:offsets[i + 1]``.
 
     Attributes:
-        points: ``(P, d)`` float64 positions, d = 1, 2 or 3, metres (or plane units). Finite.
+        points: ``(P, d)`` float64 positions, d = 1 to 16, metres (or plane units). Finite.
         times: ``(P,)`` float64 seconds, strictly increasing inside each track.
         offsets: ``(M + 1,)`` int64, no track is empty.
         ids: ``(M,)`` strings, unique.

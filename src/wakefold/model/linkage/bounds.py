@@ -118,6 +118,8 @@ def _directions(dim: int) -> Floats:
     if dim == 2:
         angle = np.arange(4) * (np.pi / 4)
         return np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    if dim > 3:  # a cube of many sides has too many corners: to the faces
+        return np.eye(dim)
     # From the centre of a cube to its faces and corners.
     grid = np.stack(np.meshgrid(*[[-1.0, 0.0, 1.0]] * dim, indexing="ij"), axis=-1).reshape(-1, dim)
     half = grid[len(grid) // 2 + 1 :]
