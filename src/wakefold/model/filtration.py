@@ -296,17 +296,7 @@ class Filtration(Remembers):
         Returns:
             metres; a float for two numbers, otherwise an array.
         """
-        from wakefold.model.linkage.kernels.dendrogram import joined_at
-
-        a, b = np.asarray(a, dtype=np.int64), np.asarray(b, dtype=np.int64)
-        if b.ndim == 0:  # a filter asks so at every report, and ``broadcast_arrays`` alone takes 10 µs
-            b = np.full(a.shape, b)
-        elif a.shape != b.shape:
-            a, b = map(np.array, np.broadcast_arrays(a, b))
-        found = np.empty(a.shape)
-        if not joined_at(self.lo, self.hi, self._range_maxima, a.ravel(), b.ravel(), found.reshape(-1)):
-            raise ValueError(f"classes run from 0 to {self.root}")
-        return float(found) if found.ndim == 0 else found
+        return dendrogram.tree_distance(self.lo, self.hi, self._range_maxima, a, b)
 
     def medoid(self, c: int, tracks: Tracks, limit: int = 1000) -> int:
         """The member of class c whose summed Fréchet distance to the others is least (first track of several).
@@ -380,9 +370,7 @@ class Filtration(Remembers):
     @cached_property
     def _children(self) -> tuple[Ints, Ints]:
         """Children of class c: ``listed[starts[c]:starts[c + 1]]``."""
-        listed = np.lexsort((self.lo[: self.root], self.parent[: self.root]))
-        count = np.bincount(self.parent[: self.root], minlength=len(self.parent))
-        return np.concatenate([[0], np.cumsum(count)]), listed
+        return dendrogram.children(self.lo, self.parent)
 
     @cached_property
     def _range_maxima(self) -> Floats:

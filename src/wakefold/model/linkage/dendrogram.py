@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from wakefold.base import small
 
@@ -204,6 +204,28 @@ def newick(names: Sequence[str], birth: Floats, parent: Ints, children: Callable
 def _newick_name(name: str) -> str:
     """Quoted unless plain: Newick reads an unquoted underscore as a blank."""
     return name if name and name.replace(".", "").replace("-", "").isalnum() else "'" + name.replace("'", "''") + "'"
+
+
+def children(lo: Ints, parent: Ints) -> tuple[Ints, Ints]:
+    """Children of all classes, the root last: those of class c are ``listed[starts[c]:starts[c + 1]]``."""
+    listed = np.lexsort((lo[:-1], parent[:-1]))
+    count = np.bincount(parent[:-1], minlength=len(parent))
+    return np.concatenate([[0], np.cumsum(count)]), listed
+
+
+def tree_distance(lo: Ints, hi: Ints, maxima: Floats, a: ArrayLike, b: ArrayLike) -> Floats | float:
+    """See ``Filtration.tree_distance``; ``maxima`` are the ``range_maxima`` of the gaps."""
+    from wakefold.model.linkage.kernels.dendrogram import joined_at
+
+    a, b = np.asarray(a, dtype=np.int64), np.asarray(b, dtype=np.int64)
+    if b.ndim == 0:  # a filter asks so at every report, and ``broadcast_arrays`` alone takes 10 µs
+        b = np.full(a.shape, b)
+    elif a.shape != b.shape:
+        a, b = map(np.array, np.broadcast_arrays(a, b))
+    found = np.empty(a.shape)
+    if not joined_at(lo, hi, maxima, a.ravel(), b.ravel(), found.reshape(-1)):
+        raise ValueError(f"classes run from 0 to {len(lo) - 1}")
+    return float(found) if found.ndim == 0 else found
 
 
 def html(levels: Iterable[float], cuts: Iterable[Ints]) -> str:
