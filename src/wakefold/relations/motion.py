@@ -77,7 +77,7 @@ def _motion(q: bytes, couplings: tuple[tuple[int, int, Coupling], ...], dt: floa
 
 @lru_cache(maxsize=4096)
 def row(drag: float, pull: float, diffusion: float, dt: float) -> Floats:
-    """``(7,)`` motion of one object, or of the difference of two, as kernels/pairs.py reads it."""
+    """``(7,)`` motion of one object, or of the difference of two, as ``kernels.pairs`` reads it."""
     f, q = transition(np.array([[drag]]), np.array([[pull]]), np.array([[diffusion]]), dt)
     out = np.array([*f.ravel(), q[0, 0], q[0, 1], q[1, 1]])
     out.flags.writeable = False  # shared by all who ask again

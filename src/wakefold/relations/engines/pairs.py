@@ -13,6 +13,7 @@ from wakefold.relations.activities import begin
 from wakefold.relations.engines.objects import GONE, Objects, Settings
 from wakefold.relations.kernels import histories, turnover
 from wakefold.relations.kernels import pairs as kernel
+from wakefold.relations.kernels.looks import Looks
 from wakefold.relations.kernels.predicates import truth
 from wakefold.relations.model import ConstantVelocity, PairEvidence, Relation, RelationalModel
 from wakefold.relations.motion import row
@@ -87,13 +88,13 @@ def _program(predicate: Predicate | None) -> tuple[Ints, Floats]:
     return predicate.arrays()
 
 
-def looks(evidence: PairEvidence | None, looked: Floats, dt: float) -> kernel.Looks:
+def looks(evidence: PairEvidence | None, looked: Floats, dt: float) -> Looks:
     """What related pairs look like as kernels read it, of pairs seen for ``looked (P,)`` seconds before."""
     e = evidence
     if e is None:
         none = np.zeros(0)
-        return kernel.Looks(none, none, none, np.zeros((0, 0, 0)), none)
-    return kernel.Looks(e.distance, e.relative_speed, e.speed, e.log_ratio, e.share(looked, dt))
+        return Looks(none, none, none, np.zeros((0, 0, 0)), none)
+    return Looks(e.distance, e.relative_speed, e.speed, e.log_ratio, e.share(looked, dt))
 
 
 def candidates(positions: Floats, gate: float) -> Ints:

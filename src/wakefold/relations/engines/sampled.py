@@ -22,7 +22,7 @@ from wakefold.relations.engines.objects import Objects, Settings, enter, exist, 
 from wakefold.relations.engines.pairs import candidates, looks, program, refresh, settled_variance, staying, switches
 from wakefold.relations.engines.unseen import chances, narrow
 from wakefold.relations.kernels import sampled as kernel
-from wakefold.relations.kernels.pairs import log_ratios
+from wakefold.relations.kernels.looks import log_ratios
 from wakefold.relations.kernels.predicates import truth
 from wakefold.relations.model import Relation
 from wakefold.relations.scene import Pairs, Particles, ParticleScene

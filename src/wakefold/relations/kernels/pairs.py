@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from wakefold.base.compile import inner, kernel
 from wakefold.relations.kernels.histories import MOST, WIDTH, absorb, copy, reduce
+from wakefold.relations.kernels.looks import log_ratio
 from wakefold.relations.kernels.predicates import AT_ONCE, FEATURES, evaluate
 
 FLOOR = 1e-9  # a relation is never surer than this
@@ -74,21 +75,6 @@ class Law(NamedTuple):
     ops: Ints
     numbers: Floats
     limit: int
-
-
-class Looks(NamedTuple):
-    """What related pairs look like, as in ``relations.PairEvidence``; an empty table: nothing is known.
-
-    Attributes:
-        distances, differences, speeds, table: edges and nats per second.
-        share: (P,) seconds that the looks of this step count as.
-    """
-
-    distances: Floats
-    differences: Floats
-    speeds: Floats
-    table: Floats
-    share: Floats
 
 
 class Switches(NamedTuple):
@@ -166,45 +152,6 @@ def difference(first, second, mean, cov, out_mean, out_cov):
                 out_mean[i, j, k] = mean[b, j, k] - mean[a, j, k]
         for j in range(3):
             out_cov[i, j] = cov[a, j] + cov[b, j]
-
-
-@inner
-def _bin(edges, value):
-    """The bin of ``value``; the last one for values beyond the edges, the first for values before."""
-    i = 0
-    while i < len(edges) - 2 and value >= edges[i + 1]:
-        i += 1
-    return i
-
-
-@inner
-def _log_ratio(ux, uy, wx, wy, ax, ay, bx, by, looks):
-    """What the looks of a pair say for its being related, nats per second; arguments as in ``evaluate``."""
-    i = _bin(looks.distances, math.sqrt(ux * ux + uy * uy))
-    j = _bin(looks.differences, math.sqrt(wx * wx + wy * wy))
-    speed = 0.5 * (math.sqrt(ax * ax + ay * ay) + math.sqrt(bx * bx + by * by))
-    return looks.table[i, j, _bin(looks.speeds, speed)]
-
-
-@kernel
-def in_common(p, first, second):
-    """Sums over others of the products of what two have with each, ``p`` (n, n) symmetric, for pairs (P,)."""
-    out = np.empty(len(first))
-    for i in range(len(first)):
-        total = 0.0
-        for k in range(len(p)):
-            total += p[first[i], k] * p[second[i], k]
-        out[i] = total
-    return out
-
-
-@kernel
-def log_ratios(u, w, va, vb, looks, out):
-    """``_log_ratio`` of n pairs, ``u, w, va, vb`` (n, 2)."""
-    for i in range(len(u)):
-        out[i] = _log_ratio(
-            u[i, 0], u[i, 1], w[i, 0], w[i, 1], va[i, 0], va[i, 1], vb[i, 0], vb[i, 1], looks
-        )  # fmt: skip
 
 
 @inner
@@ -351,7 +298,7 @@ def step(held, objects, law, looks, switched, out):
             f[6, h], f[7, h], f[8, h], f[9, h] = mean[a, 1, 0], mean[a, 1, 1], mean[b, 1, 0], mean[b, 1, 1]
             f[10, h], f[11, h], f[12, h] = cov[a, 2], cov[b, 2], 1.0
             if looked and mode[h] == 1 and seen[a] and seen[b]:
-                f[MISFIT, h] -= share[pair[h]] * _log_ratio(
+                f[MISFIT, h] -= share[pair[h]] * log_ratio(
                     f[0, h], f[1, h], f[2, h], f[3, h], f[6, h], f[7, h], f[8, h], f[9, h], looks
                 )  # fmt: skip
         if len(law.ops) > 0:

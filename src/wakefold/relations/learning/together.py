@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from wakefold.base import small
-from wakefold.relations.kernels.pairs import in_common
+from wakefold.relations.kernels.looks import in_common
 from wakefold.relations.learning.logistic import Bools, Floats, logistic, probability
 from wakefold.relations.learning.walkers import (
     DIFFERENCE,
