@@ -227,7 +227,7 @@ class Belief(Remembers):
             raise store.StoreError(f"{directory} was made with another filtration")
         try:
             kind = _KINDS[meta["filter"]] if "filter" in meta else _kind_of(arrays, tree)
-            numbers = {name: meta[name] for name in _NUMBERS}
+            numbers = {name: meta[name] if name == "time" else int(meta[name]) for name in _NUMBERS}
             evidence = _heard(meta["log_evidence"])
             before = None if evidence is None else math.nan if meta["recoveries"] else evidence  # of an older version
             since = _heard(meta["log_evidence_since"]) if "log_evidence_since" in meta else before
