@@ -210,9 +210,9 @@ def described(doc: str) -> list[str]:
             lines.append(line)
         elif section in ("", "Returns"):
             lines.append(line.removeprefix("    ") if section else line)
-        elif item := re.fullmatch(r"    (\w+(?:, \w+)*)(?::|,) ?(.*)", line):
+        elif item := re.fullmatch(r"    (\w+(?:, \w+)*): (.*)", line):
             names = ", ".join(f"`{name}`" for name in item[1].split(", "))
-            lines.append(f"- {names}{':' if line.strip()[len(item[1])] == ':' else ','} {item[2]}".rstrip())
+            lines.append(f"- {names}: {item[2]}")
         else:
             lines.append(f"  {line.strip()}" if line.strip() else "")
     return [*prose("\n".join(lines)).splitlines(), ""]
