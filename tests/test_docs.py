@@ -35,6 +35,14 @@ def test_links_lead_somewhere(page):
                 assert part in API["headings"](other.read_text()).values(), f"{page.name} links to {target}#{part}"
 
 
+def test_the_map_of_the_packages_is_what_they_import():
+    """Where it fails: mend the table of docs/design.md, and run python docs/house.py."""
+    house = runpy.run_path(str(DOCS / "house.py"))
+    rows = re.findall(r"^\| `(\w+)` \| (.*?) ?\|", (DOCS / "design.md").read_text(), re.MULTILINE)
+    assert {package: re.findall(r"\w+", on) for package, on in rows} == house["stands_on"]()
+    assert house["ROOMS"].keys() == dict(rows).keys()
+
+
 def test_the_snippet_of_the_readme_runs_in_an_empty_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (snippet,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
