@@ -2,6 +2,7 @@
 
 import re
 import runpy
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -50,3 +51,7 @@ def test_the_snippet_of_the_readme_runs_in_an_empty_folder(tmp_path, monkeypatch
     exec(snippet, said)
     assert sum(row.probability for row in said["belief"].level(500.0)) == pytest.approx(1.0)
     assert not list(tmp_path.iterdir())
+
+
+def test_the_version_is_the_same_everywhere():
+    assert tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"] == wakefold.__version__
