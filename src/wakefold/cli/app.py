@@ -42,7 +42,7 @@ def _options(
 
     \b
     Exit codes: 0 done; 1 an error in the data, or lines that were refused;
-    2 wrong usage; 130 interrupted; 141 whoever read the output has gone.
+    2 wrong usage; 130 interrupted; 141 whoever read the output has closed it.
     """
     console.debug = debug
     if version:
@@ -50,7 +50,7 @@ def _options(
         raise typer.Exit
 
 
-for command in (learn, track, show, info, demo, reproduce, relations):  # the order of --help
+for command in (learn, track, show, info, relations, demo, reproduce):  # the order of --help
     app.command()(command)
 
 

@@ -18,7 +18,7 @@ def info(
     time_format: TimeFormat = None,
     json_: Json = False,
 ) -> None:
-    """Say what files of tracks, or models, hold.
+    """Say what files of tracks, or models, hold: who, when, where, how densely sampled.
 
     \b
     Examples:

@@ -41,39 +41,41 @@ def learn(
     spacing: Annotated[
         str,
         typer.Option(
-            help="Distance between the points of a track, such as 200m. auto: a fiftieth of the median track; "
-            "for geodetic data of those that get farther than 1 km, and 20 m to 200 m."
+            help="Distance between the points of a track, such as 200m. auto: a fiftieth of the median length; "
+            "with longitudes and latitudes of the tracks that get farther than 1 km, and between 20 m and 200 m."
         ),
     ] = "auto",
     max_gap: Annotated[str, typer.Option(help="Cut a track where its agent is silent for longer.")] = "30min",
     max_speed: Annotated[
         float | None,
-        opt("Cut a track where getting to the next point takes more, metres per second."),
+        opt("Cut a track where getting to its next point takes more than this, metres per second."),
     ] = None,
     stop: Annotated[
         str | None,
-        opt("Cut a track where its agent stands: RADIUS,TIME such as 150m,10min."),
+        opt("Cut a track where its agent stays within RADIUS for TIME, given as RADIUS,TIME: 150m,10min."),
     ] = None,
     min_length: Annotated[str, typer.Option(help="Leave out tracks that are shorter, such as 1km.")] = "0",
-    linkage: Annotated[LinkageName, typer.Option(help="How classes join.")] = LinkageName.single,
+    linkage: Annotated[LinkageName, typer.Option(help="How tracks are joined into classes.")] = LinkageName.single,
     epsilon: Annotated[
         str | None,
-        opt("Radius of the velocity field, such as 500m; learned without."),
+        opt("Radius within which past points tell the velocity, such as 500m; learned if not given."),
     ] = None,
     columns: Columns = "",
     time_format: TimeFormat = None,
-    threads: Annotated[int | None, typer.Option(help="Of the distances; all cores without.", min=1)] = None,
+    threads: Annotated[
+        int | None, typer.Option(help="Threads that compare tracks; one for each core if not given.", min=1)
+    ] = None,
     executor: Annotated[
         ExecutorName,
-        typer.Option(help="Who compares tracks; ray: the cluster of RAY_ADDRESS, or a new one here."),
+        typer.Option(help="Where tracks are compared; ray: on the cluster of RAY_ADDRESS, or a new one here."),
     ] = ExecutorName.threads,
     checkpoint: Annotated[
         Path | None,
-        opt("Directory from which an interrupted comparison of the tracks goes on."),
+        opt("Directory that keeps what is compared, so that the same command goes on after an interruption."),
     ] = None,
     json_: Json = False,
 ) -> None:
-    """Learn a model from past tracks.
+    """Learn a model from past tracks: the tree of their classes, and how each class moves.
 
     \b
     Examples:

@@ -30,13 +30,16 @@ def opt(help: str, *names: str) -> Any:
 Columns = Annotated[
     str,
     opt(
-        "Columns of a table: agent=...,time=...,lon=...,lat=... or x=...,y=...; by position (0, 1, ...) if it has "
-        "no header."
+        "Columns of a table with names of its own: agent=...,time=...,lon=...,lat=... or x=...,y=...; by position "
+        "(0, 1, ...) if it has no header."
     ),
 ]
 TimeFormat = Annotated[
     str | None,
-    opt("How a table writes times: s, ms, us, ns since 1970, or like %d/%m/%Y %H:%M; ISO 8601 or seconds without."),
+    opt(
+        "How a table writes times: s, ms, us or ns since 1970, or a pattern such as %d/%m/%Y %H:%M. Needless for "
+        "ISO 8601 and seconds."
+    ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, for a program to read.")]
 

@@ -1,4 +1,4 @@
-"""``wakefold relations``: what ships do together and alone. Heavy imports inside, as in cli.py."""
+"""``wakefold relations``: what ships do together and alone. Heavy imports inside, as in app.py."""
 
 from __future__ import annotations
 
@@ -29,13 +29,15 @@ def relations(
         Path | None, opt("File for the events: .csv, or .geojson or .json for GeoJSON.", "-o", "--output")
     ] = None,
     pictures: Annotated[Path | None, opt("Directory for a picture of each event of two ships.")] = None,
-    near: Annotated[str, typer.Option(help="Two ships are together within this distance,")] = "500m",
-    slow: Annotated[str, typer.Option(help="slower than this,")] = "2kn",
-    together: Annotated[str, typer.Option(help="for this long.")] = "30min",
-    convoy: Annotated[str, typer.Option(help="Two ships sail in convoy for this long.")] = "20min",
-    berth: Annotated[str, typer.Option(help="Around a berth only port visits are told.")] = "250m",
+    near: Annotated[str, typer.Option(help="Two ships meet within this distance,")] = "500m",
+    slow: Annotated[str, typer.Option(help="both slower than this,")] = "2kn",
+    together: Annotated[str, typer.Option(help="for at least this long.")] = "30min",
+    convoy: Annotated[str, typer.Option(help="Two ships sail in convoy for at least this long.")] = "20min",
+    berth: Annotated[str, typer.Option(help="Within this distance of a berth only port visits are told.")] = "250m",
     berths: Annotated[Path | None, opt("File of more berths: CSV with lon and lat, or GeoJSON points.")] = None,
-    gap: Annotated[str, typer.Option(help="A ship that is silent for longer is nowhere.")] = "15min",
+    gap: Annotated[
+        str, typer.Option(help="After a longer silence a ship takes part in nothing until it is heard again.")
+    ] = "15min",
     columns: Columns = "",
     time_format: TimeFormat = None,
     json_: Json = False,

@@ -14,15 +14,16 @@ from wakefold.cli.options import arg, opt
 
 @guarded
 def reproduce(
-    figures: Annotated[list[str] | None, arg("Which: fig1, mse, fig7a, ...; all without. --list tells them.")] = None,
-    quick: Annotated[bool, typer.Option("--quick", help="Few runs of each, too few for any verdict.")] = False,
+    figures: Annotated[list[str] | None, arg("Names such as fig1, mse, fig7a; all if none is given.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Few runs of each: a taste, too few for any verdict.")] = False,
     out: Annotated[Path, typer.Option(help="Directory for index.html, pictures and results.")] = Path("reproduced"),
-    seed: Annotated[int, typer.Option(help="Of everything.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 0,
     raster: Annotated[
-        Path | None, opt("Tracks, such as AIS, to count the tankers' raster from; synthetic without.")
+        Path | None,
+        opt("File of tracks, such as AIS, whose traffic the tankers of fig8 and fig9 follow; made up if not given."),
     ] = None,
-    processes: Annotated[int | None, opt("At once; one on each core without.")] = None,
-    list_: Annotated[bool, typer.Option("--list", help="Name the figures and end.")] = False,
+    processes: Annotated[int | None, opt("Processes at once; one for each core if not given.")] = None,
+    list_: Annotated[bool, typer.Option("--list", help="List the names and end.")] = False,
 ) -> None:
     """Repeat the experiments of the papers: one page, every figure and number beside the published one.
 

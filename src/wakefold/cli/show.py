@@ -18,7 +18,7 @@ def show(
     output: Annotated[Path | None, opt("Picture (png, svg, pdf): map and tree.", "-o", "--output")] = None,
     level: Annotated[
         str | None,
-        opt("Level of picture and GeoJSON, such as 500m; for the picture a telling one without."),
+        opt("Level of the picture and of --geojson, such as 500m. If not given, the picture has one that tells much."),
     ] = None,
     newick: Annotated[Path | None, opt("Write the tree as Newick; - is standard output.")] = None,
     linkage: Annotated[Path | None, opt("Write the merges as scipy does, CSV or .npy; - is standard output.")] = None,
@@ -26,7 +26,7 @@ def show(
     coastline: Annotated[Path | None, opt("GeoJSON file to draw under the tracks.")] = None,
     json_: Json = False,
 ) -> None:
-    """Show the tree of classes and the tracks on a map; export the tree.
+    """Print a table of levels; draw the tracks and the tree of classes; export the tree.
 
     \b
     Examples:

@@ -39,46 +39,60 @@ class FormName(StrEnum):
 @guarded
 def track(
     model: Annotated[Path, arg("Directory that `wakefold learn` made.")],
-    observations: Annotated[str, arg("CSV, JSON lines or any file of tracks; - is standard input.")],
+    observations: Annotated[
+        str,
+        arg(
+            "CSV or JSON lines with agent, time, lon and lat (or x and y), and if known sd, class, level, confidence; "
+            "or any file of tracks. - is standard input."
+        ),
+    ],
     output: Annotated[str, typer.Option("-o", "--output", help="File for the answers; - is standard output.")] = "-",
     levels: Annotated[
         str | None,
         typer.Option(
-            help="Levels to answer at: heights such as 500,2000 or 500m, or how many (3 without), picked by entropy.",
+            help="Levels at which classes are told: heights such as 500,2000 or 500m, or a number of levels, picked by "
+            "entropy. 3 if not given.",
             show_default=False,
         ),
     ] = None,
-    filter: Annotated[FilterName, typer.Option(help="Who follows.")] = FilterName.mhpf,
-    rule: Annotated[RuleName | None, opt("Update rule of mhpf; arxiv2016 without.")] = None,
-    likelihood: Annotated[LikelihoodName, typer.Option(help="Weight of a fix.")] = LikelihoodName.gaussian,
+    filter: Annotated[FilterName, typer.Option(help="The filter that follows.")] = FilterName.mhpf,
+    rule: Annotated[RuleName | None, opt("Update rule of mhpf; arxiv2016 if not given.")] = None,
+    likelihood: Annotated[
+        LikelihoodName, typer.Option(help="How a fix weighs particles; log is the papers' way.")
+    ] = LikelihoodName.gaussian,
     sd: Annotated[
         str | None,
-        opt("Accuracy of fixes that tell none, such as 20m; the model's without."),
+        opt("Standard deviation of fixes that tell none, such as 20m; the model's if not given."),
     ] = None,
     particles: Annotated[int, typer.Option(help="Particles of each agent.", min=1, max=1_000_000)] = 200,
     depletion: Annotated[
         float,
         typer.Option(
-            help="Share of the particles whose class is drawn anew, from all tracks, in every step. "
-            "One that rounds to none, as .001 of 200, lets a lost agent be found on any track."
+            help="Share of the particles whose class is drawn anew from all tracks in every step. A share that rounds "
+            "to no particle, as .001 of 200, only lets a lost agent be found on any track."
         ),
     ] = 0.001,
-    seed: Annotated[int, typer.Option(help="Of all random numbers.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 0,
     forecast: Annotated[str, opt("Forecasts to add to every answer, such as 5min,15min.")] = "",
     format: Annotated[
         FormName | None,
-        opt("Of the answers; by the name of --output (.csv, .jsonl, .ndjson), or that of the observations without."),
+        opt(
+            "Format of the answers. If not given, by the name of --output (.csv, .jsonl, .ndjson), else that of the "
+            "observations."
+        ),
     ] = None,
     columns: Columns = "",
     time_format: TimeFormat = None,
     agent: Annotated[list[str] | None, opt("Follow this agent only; may be repeated.")] = None,
     max_agents: Annotated[
-        int, typer.Option(help="Live agents at most; the one silent for longest is dropped.", min=1)
+        int, typer.Option(help="Most live agents; with more, the one silent for longest is dropped.", min=1)
     ] = 10_000,
-    max_gap: Annotated[str, typer.Option(help="An agent starts anew after a longer silence.")] = "6h",
+    max_gap: Annotated[str, typer.Option(help="After a longer silence an agent starts anew.")] = "6h",
     picture: Annotated[Path | None, opt("Picture (png, svg, pdf) of the first agent's beliefs.")] = None,
 ) -> None:
     """Follow agents: an answer for each observation, line by line.
+
+    An answer tells where the agent is, its likeliest class at each level, and the forecasts asked for.
 
     \b
     Examples:
