@@ -25,7 +25,7 @@ FIRST_CALL = """
 import json, sys, time
 import numba, scipy.cluster.hierarchy
 start = time.perf_counter()
-from wakefold.distance import frechet_matrix
+from wakefold.model.linkage.distance import frechet_matrix
 frechet_matrix([[[0.0, 0.0]], [[1.0, 1.0]]], dtype=sys.argv[1])
 print(json.dumps(time.perf_counter() - start))
 """

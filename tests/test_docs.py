@@ -1,5 +1,6 @@
 """The documentation says what the code says."""
 
+import pkgutil
 import re
 import runpy
 import tomllib
@@ -42,6 +43,18 @@ def test_the_map_of_the_packages_is_what_they_import():
     rows = re.findall(r"^\| `(\w+)` \| (.*?) ?\|", (DOCS / "design.md").read_text(), re.MULTILINE)
     assert {package: re.findall(r"\w+", on) for package, on in rows} == house["stands_on"]()
     assert house["ROOMS"].keys() == dict(rows).keys()
+
+
+@pytest.mark.parametrize(
+    "page", [p for p in PAGES if p.name != "CHANGELOG.md"], ids=lambda p: p.relative_to(ROOT).as_posix()
+)
+def test_names_on_the_pages_are_there(page):
+    """Modules, and what is imported from them; the changes name what was."""
+    text = page.read_text()
+    for name in re.findall(r"\bwakefold(?:\.(?!X\b)\w+)+", text):
+        assert pkgutil.resolve_name(name) is not None
+    for code in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
+        exec("\n".join(re.findall(r"^(?:from|import) .*", code, re.MULTILINE)), {})
 
 
 def test_the_snippet_of_the_readme_runs_in_an_empty_folder(tmp_path, monkeypatch):

@@ -10,7 +10,9 @@ import pytest
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 
 
-@pytest.mark.parametrize(("page", "codes", "texts"), [("tutorial", 8, 6), ("relational", 3, 3)])
+@pytest.mark.parametrize(
+    ("page", "codes", "texts"), [("tutorial", 8, 6), ("relational", 3, 3), ("rendezvous", 1, 0), ("tracks", 1, 0)]
+)
 def test_the_page_prints_what_it_says(
     page: str, codes: int, texts: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -106,7 +106,7 @@ def learn(
         sd: of a fix that does not tell its own, metres; half the median spacing of track points by default.
         threads: of the distance kernel, all cores by default.
         progress: called with the share of the work done, 0 to 1.
-        executor: where most of the comparison runs, such as ``wakefold.parallel.Ray()``; see ``Filtration.fit``.
+        executor: where most of the comparison runs, such as ``wakefold.base.parallel.Ray()``; see ``Filtration.fit``.
         checkpoint: directory from which an interrupted comparison of the tracks goes on, see ``Filtration.fit``.
 
     Raises:
