@@ -56,7 +56,7 @@ DEMO = """
 import contextlib, io, json, sys, threading, time
 from pathlib import Path
 from numba.core import event
-from wakefold import demo
+from wakefold.experiments.harbour import demo
 spent, depth = [], threading.local()
 class Outermost(event.Listener):
     def on_start(self, event):

@@ -45,16 +45,17 @@ def test_the_map_of_the_packages_is_what_they_import():
     assert house["ROOMS"].keys() == dict(rows).keys()
 
 
-@pytest.mark.parametrize(
-    "page", [p for p in PAGES if p.name != "CHANGELOG.md"], ids=lambda p: p.relative_to(ROOT).as_posix()
-)
-def test_names_on_the_pages_are_there(page):
-    """Modules, and what is imported from them; the changes name what was."""
+NAMING = [*(p for p in PAGES if p.name != "CHANGELOG.md"), *sorted(ROOT.glob("benchmarks/*.py"))]
+
+
+@pytest.mark.parametrize("page", NAMING, ids=lambda p: p.relative_to(ROOT).as_posix())
+def test_what_is_named_is_there(page):
+    """Modules and what is imported from them, also by the scripts inside benchmarks. (The changes name what was.)"""
     text = page.read_text()
     for name in re.findall(r"\bwakefold(?:\.(?!X\b)\w+)+", text):
         assert pkgutil.resolve_name(name) is not None
-    for code in re.findall(r"```python\n(.*?)```", text, re.DOTALL):
-        exec("\n".join(re.findall(r"^(?:from|import) .*", code, re.MULTILINE)), {})
+    for line in re.findall(r"^(?:from|import) wakefold\b.*[^(]$", text, re.MULTILINE):
+        exec(line, {})
 
 
 def test_the_snippet_of_the_readme_runs_in_an_empty_folder(tmp_path, monkeypatch):
