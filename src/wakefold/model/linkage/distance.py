@@ -41,7 +41,7 @@ def frechet_matrix(
     Args:
         tracks: M tracks, or one array of positions each.
         others: N tracks; the M tracks themselves if None.
-        dtype: "float64" gives the bits of a plain float64 dynamic programme over ``sqrt(dx² + dy² + dz²)``.
+        dtype: "float64" gives the bits of a plain float64 dynamic programme over ``sqrt(dx² + dy² + ...)``.
             "float32" is twice as fast; the error is at most ``2**-24 * (diagonal + 4 * distance)``, with the diagonal
             of the bounding box of all points (derived in docs/filtration.md).
         threads: all cores by default; the result does not depend on it.
