@@ -41,8 +41,8 @@ def read_tracks(
             ``x``, ``y`` (and ``z``); any other key becomes a per-point column (``sog``, ``cog``, ``heading``) or a
             per-track attribute of that name. ``track`` groups by something finer than ``agent``. Values are column
             names, or positions from 0 for text without a header.
-        time_format: how a table writes times: a strptime format, or "s", "ms", "us", "ns"; ISO 8601 or seconds
-            without it.
+        time_format: how a table writes times: a strptime format, or "s", "ms", "us", "ns". If not given: ISO 8601 or
+            seconds.
         max_speed: a point that would need more, metres per second (or plane units), both to be reached and left is a
             jump. "auto": 60 for geodetic data, none for planar data; None: no check.
         max_unpacked: bytes a compressed file may unpack to; by default 200 times its size, and at least 256 MiB.

@@ -99,7 +99,7 @@ def write_tracks(tracks: Tracks, path: str | PathLike[str], format: str | None =
 
     Args:
         path: where to.
-        format: "csv", "parquet" or "geojson"; by the ending of the name without it.
+        format: "csv", "parquet" or "geojson"; by the ending of the name if not given.
 
     Raises:
         ValueError: no such format; planar tracks as GeoJSON, which knows longitude and latitude only; 1-D tracks; an

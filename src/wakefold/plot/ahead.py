@@ -34,7 +34,7 @@ class Ahead(NamedTuple):
     Attributes:
         seconds: how far ahead.
         particles: ``(N, 2)`` positions, metres.
-        weights: ``(N,)`` sum 1; equal without.
+        weights: ``(N,)`` sum 1; equal if not given.
         truth: ``(2,)`` where the agent really was then, where known.
         constant_velocity: ``(2,)`` where it would have been at constant velocity.
     """
