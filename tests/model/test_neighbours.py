@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from wakefold.base.compile import kernel
 from wakefold.model.kernels import boxes as tree
-from wakefold.model.kernels.boxes import SLACK, WIDTH, field
+from wakefold.model.kernels.boxes import SLACK, WIDTH, Ground, field
 from wakefold.model.kernels.motion import drifts
 from wakefold.model.kernels.neighbours import departures
 
@@ -18,9 +18,9 @@ ALONE = np.empty(0, dtype=np.int64)  # no class above any counts
 
 
 @kernel
-def rows_near(q, first, last, data, leaf_at, boxes, level_at, reach2, dims):
+def rows_near(q, first, last, field, reach2, dims):
     """What ``boxes.rows_near`` finds, as an array: for kernels only, it takes and gives pointers."""
-    room, made = tree.scratch(leaf_at), tree.bare(data, leaf_at, boxes, level_at)
+    room, made = tree.scratch(field.leaf_at), tree.bare(field)
     rows, count = tree.rows_near(tree.pointer(q, 0), first, last, made, reach2, tree.pointer(room, 0), dims)
     out = np.empty(count, dtype=np.int64)
     for i in range(count):
@@ -46,7 +46,7 @@ def velocities_of(tracks, q, lo, hi, epsilon):
     dims = (0,) * points.shape[1]
     out = np.empty_like(q)
     reach = (float(epsilon) ** 2, FLOOR**2)
-    drifts(q, np.arange(len(q)), ALONE, out, lo, hi, *field(points, velocities, starts), *reach, dims)
+    drifts(q, np.arange(len(q)), ALONE, out, Ground(lo, hi, field(points, velocities, starts), *reach, dims))
     return out, points, velocities, starts
 
 
@@ -138,8 +138,8 @@ def test_units_do_not_matter(scale):
     starts = np.concatenate([[0], np.cumsum([len(t[0]) for t in tracks])])
     epsilon, floor = 5.0 * scale, 1e-8 * scale
     out = np.empty_like(q)
-    made = field(points, velocities, starts)
-    drifts(q, np.arange(8), ALONE, out, np.zeros(8, int), np.full(8, 12), *made, epsilon**2, floor**2, (0, 0))
+    made, reach = field(points, velocities, starts), (epsilon**2, floor**2)
+    drifts(q, np.arange(8), ALONE, out, Ground(np.zeros(8, int), np.full(8, 12), made, *reach, (0, 0)))
     for i in range(8):
         expected = naive_velocity(q[i].tolist(), points, velocities, epsilon, floor)
         np.testing.assert_allclose(out[i], expected, rtol=1e-10)
@@ -165,7 +165,7 @@ def test_no_row_within_reach_is_missed_and_none_outside_the_range_found(seed):
     first = int(rng.integers(0, total))
     last = int(rng.integers(first, total + 1))
     q, epsilon = rng.normal(0, 12, 2), float(rng.choice([0.5, 4.0, 100.0]))
-    rows = rows_near(q, first, last, *made, epsilon**2, (0, 0))
+    rows = rows_near(q, first, last, made, epsilon**2, (0, 0))
     assert (np.diff(rows) > 0).all()
     data = made.data.reshape(-1, 4, WIDTH)[:, :2]
     gap2 = ((data - q[:, None]) ** 2).sum(axis=1).min(axis=1)[:-1]
@@ -186,7 +186,8 @@ def test_departures_leave_out_the_own_track():
     leaf = np.repeat(np.arange(15), np.diff(starts))
     lo, hi = np.maximum(leaf - 2, 0), np.minimum(leaf + 4, 15)
     made = field(points, velocities, starts)
-    out = departures(points, velocities, leaf, lo, hi, *made, 4.0, FLOOR**2, (0, 0))
+    ground = Ground(ALONE, ALONE, made, 4.0, FLOOR**2, (0, 0))
+    out = departures(points, velocities, leaf, lo, hi, ground)
     for i in range(len(points)):
         others = (leaf >= lo[i]) & (leaf < hi[i]) & (leaf != leaf[i])
         if not (np.sqrt(((points[others] - points[i]) ** 2).sum(axis=1)) < 2.0).any():

@@ -16,7 +16,7 @@ from wakefold.evidence.evidence import Evidence, in_order
 from wakefold.evidence.fix import Fix
 from wakefold.filters.belief import Belief, Stack, StackBelief
 from wakefold.filters.kernels import particles as kernel
-from wakefold.filters.particles import COPIES, NOISE, NONE, Floats, Ints, ParticleFilter, elapsed
+from wakefold.filters.particles import COPIES, NOISE, Floats, Ints, ParticleFilter, elapsed
 from wakefold.model.kernels import motion
 from wakefold.model.model import Model
 
@@ -174,13 +174,13 @@ class _Sets:
 
 def _copies(f: MHPF, points: Floats, tree: tuple[Ints, ...], key: NDArray[np.uint64], step: int, dt: float) -> Floats:
     """(S, d) where copies of particles at ``points`` are after ``dt`` seconds under the classes of their sets."""
-    ground, (kind, scale, parts, h) = f.model.dynamics.ground, f._parts(dt)
+    stream, ground, (begin, parts, h) = (key, step, COPIES), f.model.dynamics.ground, f._span(dt)
     classes, up, nodes, start, copy_of = tree
     if parts == 0:
         return points[copy_of]
-    copies, noise = np.empty((len(copy_of), points.shape[1])), (key, step, COPIES, kind, scale, parts, h)
-    motion.roll(points, classes, up, nodes, start, copies, *noise, 0, *ground)
+    copies = np.empty((len(copy_of), points.shape[1]))
+    motion.roll(points, classes, (up, nodes, start), copies, stream, f._noise, (begin, parts, h), ground)
     if parts > 1:  # from the second sub-step on every copy is somewhere else
         under = np.repeat(nodes, start[1:] - start[:-1])
-        motion.roll(copies, under, NONE, NONE, NONE, copies, *noise, 1, *ground)
+        motion.roll(copies, under, motion.ALONE, copies, stream, f._noise, (1, parts, h), ground)
     return copies

@@ -307,16 +307,15 @@ class ParticleFilter(Generic[Kind]):
 
     # Step 2: motion
 
-    def _parts(self, dt: float) -> tuple[int, float, int, float]:
-        """Kind and scale of the noise, number of sub-steps and their length, s, as the kernels take them."""
+    def _span(self, dt: float) -> tuple[int, int, float]:
+        """The first sub-step, how many there are and their length, s, as the kernels take them."""
         parts = self.model.dynamics.substeps(dt)
-        return *self._noise, parts, dt / max(parts, 1)
+        return 0, parts, dt / max(parts, 1)
 
     def _roll(self, belief: Belief, purpose: int, points: Floats, classes: Ints, dt: float) -> None:
         """Move particles under their own classes, in place, by the noise of the belief's next step."""
-        stream = (belief.key, belief.step + 1, purpose)
-        alone = (NONE, NONE, NONE, points)
-        motion.roll(points, classes, *alone, *stream, *self._parts(dt), 0, *self.model.dynamics.ground)
+        stream, ground = (belief.key, belief.step + 1, purpose), self.model.dynamics.ground
+        motion.roll(points, classes, motion.ALONE, points, stream, self._noise, self._span(dt), ground)
 
     # Step 4: a fix, and what to do when every weight is zero
 

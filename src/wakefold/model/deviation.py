@@ -57,7 +57,7 @@ class Deviation(NamedTuple):
         across2 = spreads**2 * -math.expm1(-2.0 * self.rate * h)
         along2 = np.maximum(self.along**2 * h, across2)
         motion = (parts, h, math.exp(-self.rate * h), across2, along2)
-        components.advance(points, covs, classes, *motion, *dynamics.ground)
+        components.advance(points, covs, classes, *motion, dynamics.ground)
 
     @classmethod
     def learn(cls, model: Model) -> Deviation:

@@ -16,7 +16,7 @@ from wakefold.tracks.ragged import ragged_rows
 
 if TYPE_CHECKING:
     from wakefold.model.filtration import Filtration
-    from wakefold.model.kernels.boxes import Field
+    from wakefold.model.kernels.boxes import Field, Ground
     from wakefold.tracks.tracks import Tracks
 
 Noise = Literal["gaussian", "uniform"]
@@ -153,9 +153,11 @@ class Dynamics(Remembers):
         return (0,) * self.dim
 
     @cached_property
-    def ground(self) -> tuple[Any, ...]:
-        """What the kernels are told of where a particle moves: lo, hi, the arrays of the field, reach, dims."""
-        return (self.lo, self.hi, *self.field, *self.reach, self.dims)
+    def ground(self) -> Ground:
+        """What the kernels are told of where a particle moves."""
+        from wakefold.model.kernels.boxes import Ground
+
+        return Ground(self.lo, self.hi, self.field, *self.reach, self.dims)
 
     @cached_property
     def field(self) -> Field:
@@ -186,7 +188,7 @@ class Dynamics(Remembers):
         at = np.ascontiguousarray(np.atleast_2d(np.asarray(points, dtype=np.float64)))
         chosen = np.ascontiguousarray(np.broadcast_to(np.asarray(classes, dtype=np.int64), (len(at),)))
         out = np.empty_like(at)
-        drifts(at, chosen, np.empty(0, dtype=np.int64), out, *self.ground)
+        drifts(at, chosen, np.empty(0, dtype=np.int64), out, self.ground)
         return out
 
     def _departure(self, filtration: Filtration) -> float:
@@ -199,7 +201,7 @@ class Dynamics(Remembers):
         if (around < 0).any():  # a single track has nothing to depart from
             return 0.0
         ranks = (leaves[rows], self.lo[around], self.hi[around])
-        residual = departures(self.points[rows], self.velocities[rows], *ranks, *self.ground[2:])
+        residual = departures(self.points[rows], self.velocities[rows], *ranks, self.ground)
         known = np.isfinite(residual)
         return float(1.4826 * np.median(np.abs(residual[known])) * math.sqrt(self.interval)) if known.any() else 0.0
 

@@ -47,6 +47,17 @@ class Field(NamedTuple):
     level_at: np.ndarray  # (levels + 1,) first node of each level; the boxes of level 0 are those of the rows
 
 
+class Ground(NamedTuple):
+    """Where a particle moves: the classes, the points of the tracks and the ball around a position."""
+
+    lo: np.ndarray  # (C,) first leaf rank of each class
+    hi: np.ndarray  # (C,) and the one after its last
+    field: Field
+    reach2: float  # squared radius of the ball, square metres
+    floor2: float  # squared smallest distance used in 1/distance
+    dims: tuple[int, ...]  # d zeros
+
+
 class Bare(NamedTuple):
     """A ``Field`` as helpers of kernels are told of it: pointers, and two numbers.
 
@@ -144,10 +155,11 @@ def pointer(typing, array, element):
 
 
 @inner
-def bare(data, leaf_at, boxes, level_at):
-    """The ``Bare`` of the arrays of a ``Field``."""
+def bare(field):
+    """The ``Bare`` of a ``Field``."""
+    leaf_at, level_at = field.leaf_at, field.level_at
     rows, top = leaf_at[len(leaf_at) - 1], len(level_at) - 2
-    return Bare(pointer(data, 0), pointer(leaf_at, 0), pointer(boxes, 0), pointer(level_at, 0), rows, top)
+    return Bare(pointer(field.data, 0), pointer(leaf_at, 0), pointer(field.boxes, 0), pointer(level_at, 0), rows, top)
 
 
 @intrinsic

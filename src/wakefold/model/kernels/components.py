@@ -37,20 +37,19 @@ def _sound(cov, dims):
 
 
 @kernel
-def advance(
-    points, covs, classes, parts, h, keep, across2, along2, lo, hi, data, leaf_at, boxes, level_at, reach2, floor2, dims
-):  # fmt: skip
+def advance(points, covs, classes, parts, h, keep, across2, along2, ground):
     """Move Gaussians (n, d), (n, d, d) beside their tracks for ``parts`` sub-steps of ``h`` seconds, in place.
 
     Across the heading an offset from the nearest point of the track shrinks to the share ``keep``, and the variance
-    grows by ``across2`` (n,); along it the variance grows by ``along2`` (n,). From ``lo`` on: ``Dynamics.ground``.
+    grows by ``across2`` (n,); along it the variance grows by ``along2`` (n,).
     """
-    d, field, room = len(dims), bare(data, leaf_at, boxes, level_at), scratch(leaf_at)
+    lo, hi, dims, data, leaf_at = ground.lo, ground.hi, ground.dims, ground.field.data, ground.field.leaf_at
+    d, field, room = len(dims), bare(ground.field), scratch(leaf_at)
     alone = np.empty(0, dtype=np.int64)
     drift, along, moved = np.empty_like(points), np.empty((d, d)), np.empty((d, d))
     shrink, offset = np.empty((d, d)), np.empty(d)
     for _ in range(parts):
-        drifts(points, classes, alone, drift, lo, hi, data, leaf_at, boxes, level_at, reach2, floor2, dims)
+        drifts(points, classes, alone, drift, ground)
         for i in range(len(points)):
             first, last, q = leaf_at[lo[classes[i]]], leaf_at[hi[classes[i]]], pointer(points, i * d)
             _, place = nearest(q, first, last, field, np.inf, first * 2 * d * WIDTH, pointer(room, 0), dims)

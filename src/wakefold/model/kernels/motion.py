@@ -20,6 +20,10 @@ STILL, GAUSSIAN, UNIFORM = 0, 1, 2  # noise of the motion
 SHARE, SHARE_OF_TRACK = 0.125, 0.25
 
 
+_NONE = np.empty(0, dtype=np.int64)
+ALONE = (_NONE, _NONE, _NONE)  # ``roll`` without copies
+
+
 @inner
 def _within(p, q, reach2, dims):
     """Whether two positions are less than sqrt(reach2) apart."""
@@ -43,7 +47,7 @@ def _first_from(rows, count, row):
 
 
 @kernel
-def drifts(points, classes, up, out, lo, hi, data, leaf_at, boxes, level_at, reach2, floor2, dims):
+def drifts(points, classes, up, out, ground):
     """Localised velocity at points under their own classes, and under those above, into ``out``.
 
     The inverse-distance mean of the velocities in the open ball of radius sqrt(reach2); of an empty ball, the velocity
@@ -56,9 +60,9 @@ def drifts(points, classes, up, out, lo, hi, data, leaf_at, boxes, level_at, rea
         points: (n, d). classes: (n,) of each.
         up: (C,) the class above each that counts, -1 for none; or empty, when none counts anywhere.
         out: (rows, d): for each point its class, then those above it, from the inside outwards.
-        lo: and on, see ``Dynamics.ground``.
     """
-    d, field, room = len(dims), bare(data, leaf_at, boxes, level_at), scratch(leaf_at)
+    lo, hi, reach2, floor2, dims = ground.lo, ground.hi, ground.reach2, ground.floor2, ground.dims
+    d, field, room = len(dims), bare(ground.field), scratch(ground.field.leaf_at)
     lists, spare = pointer(room, 0), pointer(room, len(room) // 2)
     rows, count, listed, centre = lists, 0, -1, pointer(points, 0)  # the rows near ``centre`` of the class ``listed``
     at = pointer(out, 0)
@@ -111,19 +115,22 @@ def drifts(points, classes, up, out, lo, hi, data, leaf_at, boxes, level_at, rea
 
 
 @kernel
-def roll(
-    points, classes, up, nodes, start, out, key, step, purpose, kind, scale, parts, h, begin,
-    lo, hi, data, leaf_at, boxes, level_at, reach2, floor2, dims,
-):  # fmt: skip
-    """Move points (n, d) under their own classes through the sub-steps from ``begin`` of ``parts``; ``out`` is points.
+def roll(points, classes, copies, out, stream, noise_law, span, ground):
+    """Move points (n, d) under their own classes (n,); ``out`` is points. Or write where copies of them go.
 
-    Or write where the first sub-step takes copies of them, each under another class above that of its point, into
-    ``out`` (S, d): grouped by class, those of ``nodes[a]`` from ``start[a]`` on. There are such when ``up`` is not
-    empty (see ``drifts``). From ``lo`` on: ``Dynamics.ground``.
+    Small groups are plain tuples: each named one costs a call half a microsecond.
 
-    A sub-step takes ``h`` seconds; the noise is that of the stream (key, step, purpose), metres: Gaussian with sd
-    scale * sqrt(h) in each sub-step, or the papers' uniform noise once, in the last.
+    Args:
+        copies: up (see ``drifts``), nodes, start. When ``up`` is not empty, the first sub-step takes copies of the
+            points, each under another class above that of its point, to ``out`` (S, d), grouped by class: those of
+            ``nodes[a]`` from ``start[a]`` on.
+        stream: key, step, purpose of the random numbers.
+        noise_law: kind and scale: ``GAUSSIAN`` with sd scale * sqrt(h) metres in each sub-step, or the papers'
+            ``UNIFORM`` within +-scale metres once, in the last.
+        span: from which sub-step on, of how many, and the length h of each, s.
     """
+    (up, nodes, start), (key, step, purpose) = copies, stream
+    (kind, scale), (begin, parts, h), dims = noise_law, span, ground.dims
     d, size, copied = len(dims), len(out) * len(dims), len(up) > 0
     noise = np.empty(parts * size)
     if kind == GAUSSIAN:
@@ -144,7 +151,7 @@ def roll(
     for a in range(len(nodes)):
         cursor[nodes[a]] = start[a]
     for part in range(begin, 1 if copied else parts):
-        drifts(points, classes, up, drift, lo, hi, data, leaf_at, boxes, level_at, reach2, floor2, dims)
+        drifts(points, classes, up, drift, ground)
         row = 0
         for i in range(len(points)):
             if not copied:

@@ -140,16 +140,17 @@ def velocity_at(field, place, out, dims):
 
 
 @kernel
-def departures(points, velocities, leaf_of, lo, hi, data, leaf_at, boxes, level_at, reach2, floor2, dims):
+def departures(points, velocities, leaf_of, lo, hi, ground):
     """Velocity of training points minus that of the other leaves, in the ball, of the class ``[lo, hi)`` around theirs.
 
     Args:
-        points, velocities: (n, d). leaf_of, lo, hi: (n,) ranks. data to level_at: a ``Field``.
+        points, velocities: (n, d). leaf_of, lo, hi: (n,) ranks. ground: its classes are not asked for.
 
     Returns:
         (n, d); NaN where the ball holds no point of another leaf.
     """
-    d, field = len(dims), bare(data, leaf_at, boxes, level_at)
+    reach2, floor2, dims, leaf_at = ground.reach2, ground.floor2, ground.dims, ground.field.leaf_at
+    d, field = len(dims), bare(ground.field)
     out, room = np.empty((len(points), d)), scratch(leaf_at)
     begin = np.intp(0)  # a literal would compile add_rows a second time
     for i in range(len(points)):
