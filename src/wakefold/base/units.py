@@ -15,6 +15,8 @@ Time = float | str | date | np.datetime64  # a datetime is a date
 HOUR, DAY = 3600.0, 86400.0  # seconds
 NAUTICAL_MILE = 1852.0  # metres
 KNOT = NAUTICAL_MILE / HOUR  # metres per second
+FARTHEST = 1e12  # metres or plane units from the origin: farther away, squares of distances lose all their digits
+LOST = 6.0  # sd: who is farther than this from where it was seen is lost
 
 _SECONDS = {"ms": 1e-3, "s": 1.0, "sec": 1.0, "second": 1.0, "min": 60.0, "minute": 60.0}
 _SECONDS |= {"h": HOUR, "hr": HOUR, "hour": HOUR, "d": DAY, "day": DAY}

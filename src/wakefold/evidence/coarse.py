@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from wakefold.model.filtration import Filtration
 
 Family = Literal["log", "gaussian", "student"]
+CONFIDENCE = 0.9  # of a report that does not tell its own
 
 
 @dataclass(frozen=True)
@@ -28,7 +29,7 @@ class CoarseClass:
 
     class_: int
     level: float | None = None
-    confidence: float = 0.9
+    confidence: float = CONFIDENCE
 
     def __post_init__(self) -> None:
         if isinstance(self.class_, bool) or not isinstance(self.class_, (int, np.integer)):

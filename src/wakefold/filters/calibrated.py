@@ -12,14 +12,14 @@ import numpy as np
 
 from wakefold.base import random, small
 from wakefold.base.random import agent_key
-from wakefold.base.units import Time, timestamp
+from wakefold.base.units import LOST, Time, timestamp
 from wakefold.evidence.coarse import CoarseClass, alive_classes, coarse_log_g
 from wakefold.evidence.confusion import Confusion, Reliability
 from wakefold.evidence.evidence import Evidence, in_order
 from wakefold.evidence.fix import Fix
 from wakefold.filters.belief import Belief, GaussianBelief, Gaussians
 from wakefold.filters.kernels import particles as kernel
-from wakefold.filters.particles import LOST, RECOVER, START, Floats, Ints, ParticleFilter, elapsed, pick_strata
+from wakefold.filters.particles import RECOVER, START, Floats, Ints, ParticleFilter, elapsed, pick_strata
 from wakefold.model.deviation import KINDS, Deviation
 from wakefold.model.kernels import components
 from wakefold.model.model import Model

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from wakefold.base import random, small
 from wakefold.base.random import agent_key
-from wakefold.base.units import Time, timestamp
+from wakefold.base.units import LOST, Time, timestamp
 from wakefold.evidence.coarse import CoarseClass, Family, coarse_log_g
 from wakefold.evidence.fix import Fix
 from wakefold.filters.belief import Belief
@@ -36,7 +36,6 @@ Kind = TypeVar("Kind", bound=Belief)
 START, OPEN, NOISE, COPIES, RECOVER, FORECAST = range(6)  # purposes of random streams
 FAMILIES: dict[str, int] = {"log": kernel.LOG, "gaussian": kernel.GAUSSIAN, "student": kernel.STUDENT}
 NOISES = {"gaussian": motion.GAUSSIAN, "uniform": motion.UNIFORM}
-LOST = 6.0  # sd
 NONE = np.empty(0, dtype=np.int64)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from wakefold.base.units import FARTHEST
 from wakefold.io import times
 from wakefold.io.records import Floats, Latest, Rows, Static, as_text, last_rows
 from wakefold.io.report import ReadError, Report, Tally
@@ -22,10 +23,6 @@ MAX_GEODETIC_SPEED = 60.0
 LATE = (
     "{n} times lie beyond the year 2100: if they are not in seconds, say so by time_format (--time-format), such as ms"
 )
-
-
-FARTHEST = 1e12
-"""Plane units from the origin: further away, squares of distances lose all their digits."""
 
 
 class Collector:

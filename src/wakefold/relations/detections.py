@@ -9,11 +9,11 @@ from copy import copy
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wakefold.base.units import FARTHEST
 from wakefold.relations.predicates import number
 
 Floats = NDArray[np.float64]
 DetectProb = float | Callable[[Floats], ArrayLike]
-FARTHEST = 1e12  # metres: what is squared must stay a number
 FINEST = 1e-9  # metres
 
 

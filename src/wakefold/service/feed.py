@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple
 import numpy as np
 
 from wakefold.base.units import DAY
-from wakefold.evidence.coarse import CoarseClass
+from wakefold.evidence.coarse import CONFIDENCE, CoarseClass
 from wakefold.evidence.evidence import Evidence
 from wakefold.evidence.fix import Fix
 from wakefold.io.formats.tables import recognised
@@ -37,7 +37,6 @@ LONGEST_LINE = 1 << 16  # bytes; an observation is some tens of them
 LONGEST_NAME = 200  # characters of an agent's name
 FIELDS = ("agent", "track", "time", "lon", "lat", "x", "y", "z")  # under the names that `tables` recognises
 MORE_FIELDS = ("sd", "class", "level", "confidence")
-CONFIDENCE = 0.9
 LARGEST = 1e100  # of numbers; their squares still are numbers
 ECHOED = 60  # characters of a value that a message repeats
 YEAR = 365 * DAY

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from wakefold.filters.particles import LOST
+from wakefold.base.units import LOST
 from wakefold.model.dynamics import MAX_SUBSTEPS
 from wakefold.service.answers import Answer, Best, Place
 from wakefold.service.feed import Observation

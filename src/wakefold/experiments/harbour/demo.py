@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wakefold import plot
-from wakefold.evidence.coarse import CoarseClass
+from wakefold.evidence.coarse import CONFIDENCE, CoarseClass
 from wakefold.evidence.fix import Fix
 from wakefold.experiments.harbour.report import report_page
 from wakefold.filters.belief import Belief
@@ -36,7 +36,6 @@ EPSILON = 300.0  # metres
 SCALE, SD = 8.0, 50.0  # m/sqrt(s), metres; chosen on 7 December
 PARTICLES, DEPLETION = 500, 0.0009  # so small a share redraws no class at random, but lets a recovery find any
 LEVELS = 3
-CONFIDENCE = 0.9  # in the coarse report
 
 
 class Step(NamedTuple):

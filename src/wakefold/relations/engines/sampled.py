@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wakefold.base import small
+from wakefold.base.units import LOST
 from wakefold.relations.activities import advance
 from wakefold.relations.detections import Detections
 from wakefold.relations.engines.association import GATE, TINY
@@ -29,7 +30,6 @@ from wakefold.relations.scene import Pairs, Particles, ParticleScene
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
-LOST = 6.0  # sd: a sampled object of which every particle is farther from its detection is drawn anew
 
 
 def step(s: Settings, scene: ParticleScene, scan: Detections | None, dt: float) -> ParticleScene:

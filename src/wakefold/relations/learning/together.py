@@ -38,7 +38,7 @@ from wakefold.relations.model import PairEvidence, Relation
 UNIT = 20.0  # frames; a pair seen for n frames counts as (n / UNIT) ** (1 - fade) such pairs
 ROUNDS = 12  # of learning a scene's constants in turn
 REPEATS = 3  # of fitting weights and shifts in turn
-FARTHEST = 6.0  # most that a scene shifts the log-odds
+MOST_SHIFT = 6.0  # most that a scene shifts the log-odds
 CELLS = 18, 12  # between the outermost knots of spacing and of the difference of velocities, in a relation's evidence
 
 
@@ -342,11 +342,11 @@ def _shift(z: Floats, ghosts: Floats, rate: float) -> float:
         p = probability(z + shift)
         return float((p * (1.0 - p)).sum() - rate * probability(ghosts + shift).sum())
 
-    if over(-FARTHEST) <= 0.0:
-        return -FARTHEST
-    if over(FARTHEST) >= 0.0:
-        return FARTHEST
-    return float(root_scalar(over, bracket=(-FARTHEST, FARTHEST), method="brentq").root)
+    if over(-MOST_SHIFT) <= 0.0:
+        return -MOST_SHIFT
+    if over(MOST_SHIFT) >= 0.0:
+        return MOST_SHIFT
+    return float(root_scalar(over, bracket=(-MOST_SHIFT, MOST_SHIFT), method="brentq").root)
 
 
 def _friends(z: Floats, pairs: Together, people: int) -> Floats:
