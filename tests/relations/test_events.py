@@ -220,9 +220,36 @@ def test_the_place_of_a_planar_event_is_not_called_degrees(tmp_path):
     with out.open() as rows:
         read = list(csv.DictReader(rows))
     assert read
-    for row in (*read, *json.loads(done.stdout)["events"]):
+    told = json.loads(done.stdout)["events"]
+    for row in (*read, *told):
         assert {"x", "y"} <= row.keys()
         assert not {"lon", "lat"} & row.keys()
+    assert float(read[0]["begin"]) == told[0]["begin"] < 86400  # seconds on the data's own clock, and no date of 1970
     refused = CliRunner().invoke(cli.app, ["relations", str(file), "-o", str(tmp_path / "events.geojson")])
     assert refused.exit_code == 2
     assert "planar" in refused.stderr
+
+
+def test_degrees_are_no_berths_of_planar_tracks(tmp_path):
+    made = swinging()
+    tracks = wf.Tracks.from_arrays(list(made), [made.times_of(i) for i in range(len(made))], made.ids.tolist())
+    file, berths_file = tmp_path / "planar.csv", tmp_path / "berths"
+    wf.write_tracks(tracks, file)
+    for text in ("lon,lat\n0,0\n", "longitude,latitude\n0,0\n", '{"type": "Point", "coordinates": [0, 0]}'):
+        berths_file.write_text(text)
+        done = CliRunner().invoke(cli.app, ["relations", str(file), "--berths", str(berths_file)])
+        assert done.exit_code == 1
+        assert "the tracks are planar" in done.stderr
+    berths_file.write_text("lon,lat,x,y\n-74,40,0,0\n")
+    done = CliRunner().invoke(cli.app, ["relations", str(file), "--berths", str(berths_file), "--json"])
+    assert done.exit_code == 0, done.stderr
+    assert json.loads(done.stdout)["left_out_at_berths"] == 1
+
+
+@pytest.mark.parametrize(("place", "begin", "date"), [(PLACE, 1.6e9, True), (PLACE, 0.0, False), (None, 1.6e9, False)])
+def test_an_event_is_drawn_from_a_date_where_there_is_one(place, begin, date):
+    made = swinging()
+    times = [begin + made.times_of(i) for i in range(len(made))]
+    found = events.find(wf.Tracks.from_arrays(list(made), times, made.ids.tolist(), place))
+    labels = [ax.get_xlabel() for part in plot_events.event(found, found.events[0], place).subfigs for ax in part.axes]
+    assert [label.endswith("UTC") for label in labels if label.startswith("minutes from")] == [date]

@@ -12,7 +12,7 @@ from wakefold.base.wording import counted, number_text
 from wakefold.io import read_tracks
 from wakefold.io.read import Columns
 from wakefold.model.model import load
-from wakefold.service.feed import dated
+from wakefold.tracks.projection import dated
 from wakefold.tracks.tracks import Tracks
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def _extent(tracks: Tracks) -> dict[str, Any]:
         "agents": len(np.unique(tracks.attributes.get("agent", tracks.ids))),
         "time": [float(tracks.times.min()), float(tracks.times.max())],
         "geodetic": tracks.projection is not None,
-        "dated": dated(tracks),
+        "dated": dated(tracks.projection, float(tracks.times.min())),
         "area": {"low": low.tolist(), "high": high.tolist()},
         "median": {
             "points": float(np.median(tracks.lengths)),

@@ -34,7 +34,9 @@ def relations(
     together: Annotated[str, typer.Option(help="for at least this long.")] = "30min",
     convoy: Annotated[str, typer.Option(help="Two ships sail in convoy for at least this long.")] = "20min",
     berth: Annotated[str, typer.Option(help="Within this distance of a berth only port visits are told.")] = "250m",
-    berths: Annotated[Path | None, opt("File of more berths: CSV with lon and lat, or GeoJSON points.")] = None,
+    berths: Annotated[
+        Path | None, opt("File of more berths: CSV with lon and lat (x and y for planar tracks), or GeoJSON points.")
+    ] = None,
     gap: Annotated[
         str, typer.Option(help="After a longer silence a ship takes part in nothing until it is heard again.")
     ] = "15min",
@@ -53,6 +55,7 @@ def relations(
     import wakefold as wf
     from wakefold.io.places import read_places
     from wakefold.relations.events import events
+    from wakefold.tracks.projection import dated
 
     options.input_files(tracks)
     settings = events.Settings(
@@ -76,9 +79,12 @@ def relations(
     (say if json_ else print)(str(report))
     if output is not None and output.suffix.lower() != ".csv" and read.projection is None:
         options.wrong("--output", "GeoJSON holds longitude and latitude, and these tracks are planar")
+    if berths is not None and read.projection is None:
+        known = read_places(berths, planar=True)
     with progress("following pairs") as update:
         found = events.find(read, settings, known=known, progress=update)
-    rows = [_row(event, read.projection) for event in found.events]
+    dates = dated(read.projection, float(read.times.min()))
+    rows = [_row(event, read.projection, dates) for event in found.events]
     if output is not None:
         with naming(output):
             _write(rows, columns_of(read.projection), output)
@@ -103,14 +109,15 @@ def columns_of(projection: Projection | None) -> list[str]:
     return ["kind", "first", "second", "begin", "end", "minutes", "probability", *place, "distance_m", "speed_kn"]
 
 
-def _row(event: Event, projection: Projection | None) -> dict[str, Any]:
-    """An event in plain types; what is not known is None."""
+def _row(event: Event, projection: Projection | None, dates: bool) -> dict[str, Any]:
+    """An event in plain types; what is not known is None. Times that are no ``dates`` stay seconds."""
     import numpy as np
 
     from wakefold.base.units import KNOT
 
     place = event.place if projection is None else projection.to_geodetic(event.place[None])[0]
-    clock = [str(np.datetime64(round(t), "s")) + "Z" for t in (event.begin, event.end)]
+    times = (event.begin, event.end)
+    clock = [str(np.datetime64(round(t), "s")) + "Z" if dates else round(t, 3) for t in times]
     distance = None if np.isnan(event.distance) else round(event.distance, 1)
     first, second = (*event.agents, "")[:2]
     values = (event.kind, first, second, *clock, round((event.end - event.begin) / 60, 1))

@@ -14,18 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 MOST_BYTES = 64 << 20
-AXES = (("lon", "lat"), ("longitude", "latitude"), ("x", "y"))
+AXES = (("lon", "lat"), ("longitude", "latitude"), ("x", "y"))  # the last of a plane too
 
 
-def read_places(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+def read_places(path: str | os.PathLike[str], planar: bool = False) -> NDArray[np.float64]:
     """``(B, 2)`` longitude and latitude, or x and y, as they stand in the file.
 
     Args:
         path: a CSV whose header names ``lon`` and ``lat`` (or ``longitude`` and ``latitude``, or ``x`` and ``y``, in
             any case; other columns are not read), or GeoJSON of Point and MultiPoint geometries.
+        planar: for tracks in a plane, where longitudes and latitudes say nothing: ``x`` and ``y`` only.
 
     Raises:
-        ValueError: a file of neither kind, or a place that is no place; the message names the file and the line.
+        ValueError: a file of neither kind, degrees for a plane, or a place that is no place; the message names the
+            file and the line.
         OSError: a file that cannot be read.
     """
     file = Path(path)
@@ -35,7 +37,14 @@ def read_places(path: str | os.PathLike[str]) -> NDArray[np.float64]:
         text = file.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(f"{file}: not text in UTF-8 ({error.reason} at byte {error.start})") from None
-    found = _points(file, text) if text.lstrip()[:1] in ("{", "[") else _rows(file, text)
+    if text.lstrip()[:1] not in ("{", "["):
+        found = _rows(file, text, planar)
+    elif planar:
+        raise ValueError(
+            f"{file}: GeoJSON holds longitude and latitude, and the tracks are planar: give x and y in a CSV"
+        )
+    else:
+        found = _points(file, text)
     out = []
     for where, pair in found:
         try:
@@ -48,15 +57,16 @@ def read_places(path: str | os.PathLike[str]) -> NDArray[np.float64]:
     return np.array(out, dtype=np.float64).reshape(-1, 2)
 
 
-def _rows(file: Path, text: str) -> Iterator[tuple[str, Any]]:
+def _rows(file: Path, text: str, planar: bool) -> Iterator[tuple[str, Any]]:
     rows = csv.reader(text.splitlines())
     header = [name.strip().lower() for name in next(rows, [])]
-    for first, second in AXES:
+    for first, second in AXES[-1:] if planar else AXES:
         if first in header and second in header:
             x, y = header.index(first), header.index(second)
             break
     else:
-        raise ValueError(f"{file}: places need a header with lon and lat (or x and y), or GeoJSON; got {header[:8]}")
+        wanted = "x and y, as the tracks are planar" if planar else "lon and lat (or x and y), or GeoJSON"
+        raise ValueError(f"{file}: places need a header with {wanted}; got {header[:8]}")
     for row in rows:
         if row:
             yield f"line {rows.line_num}", [row[x], row[y]] if len(row) > max(x, y) else row[:1]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from wakefold.base.units import HOUR, KNOT
 from wakefold.plot.canvas import INK, PALE, PALETTE, box_around, ground, styled
+from wakefold.tracks.projection import dated
 
 if TYPE_CHECKING:
     from wakefold.tracks.projection import Projection
@@ -93,8 +94,6 @@ def event(
     span = (event.end - event.begin) / 60
     ax.set_title(f"{event.kind}, {span:.0f} min, probability {event.probability:.2f}")
 
-    begun = np.datetime64(round(event.begin), "s")
-
     def minutes(times: NDArray[np.float64]) -> NDArray[np.float64]:
         return (times - event.begin) / 60
 
@@ -114,7 +113,10 @@ def event(
     rows[-1].plot(minutes(event.times), event.chance, color=INK, linewidth=1)
     rows[-1].set_ylim(-0.02, 1.02)
     rows[-1].set_ylabel("probability")
-    rows[-1].set_xlabel(f"minutes from {str(begun).replace('T', ' ')} UTC")
+    begun = f"{event.begin:.6g} s"
+    if dated(projection, event.begin):
+        begun = str(np.datetime64(round(event.begin), "s")).replace("T", " ") + " UTC"
+    rows[-1].set_xlabel(f"minutes from {begun}")
     return figure
 
 

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple
 
 import numpy as np
 
-from wakefold.base.units import DAY
 from wakefold.evidence.coarse import CONFIDENCE, CoarseClass
 from wakefold.evidence.evidence import Evidence
 from wakefold.evidence.fix import Fix
 from wakefold.io.formats.tables import recognised
 from wakefold.io.report import ReadError, listed
 from wakefold.io.times import formatted, number, parse, within
+from wakefold.tracks.projection import dated
 
 if TYPE_CHECKING:
     from wakefold.model.filtration import Filtration
@@ -39,7 +39,6 @@ FIELDS = ("agent", "track", "time", "lon", "lat", "x", "y", "z")  # under the na
 MORE_FIELDS = ("sd", "class", "level", "confidence")
 LARGEST = 1e100  # of numbers; their squares still are numbers
 ECHOED = 60  # characters of a value that a message repeats
-YEAR = 365 * DAY
 
 
 class Observation(NamedTuple):
@@ -171,18 +170,13 @@ def of_tracks(tracks: Tracks) -> Iterator[Observation]:
     """The points of tracks as fixes of their agents, all in the order of time."""
     owner = np.repeat(np.arange(len(tracks)), tracks.lengths)
     names = tracks.attributes.get("agent", tracks.ids)
-    geodetic, dates = tracks.projection is not None, dated(tracks)
+    geodetic, dates = tracks.projection is not None, dated(tracks.projection, float(tracks.times.min()))
     places = tracks.projection.to_geodetic(tracks.points) if tracks.projection is not None else tracks.points
     for count, row in enumerate(np.argsort(tracks.times, kind="stable"), 1):
         fix = Fix(lon=places[row, 0], lat=places[row, 1]) if geodetic else Fix(places[row])
         time = float(tracks.times[row])
         stamp = str(np.datetime64(round(1000 * time), "ms")) + "Z" if dates else time
         yield Observation(count, str(names[owner[row]]), time, stamp, fix)
-
-
-def dated(tracks: Tracks) -> bool:
-    """Whether the times are dates: of geodetic tracks after 1970, as data without times count seconds from 0."""
-    return tracks.projection is not None and float(tracks.times.min()) >= YEAR
 
 
 # Lines to fields

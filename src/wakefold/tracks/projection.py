@@ -9,6 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wakefold.base.remember import Remembers
+from wakefold.base.units import DAY
+
+YEAR = 365 * DAY
 
 
 @dataclass(frozen=True)
@@ -60,3 +63,8 @@ class Projection(Remembers):
     def __str__(self) -> str:
         north, east = "N" if self.lat >= 0 else "S", "E" if self.lon >= 0 else "W"
         return f"metres about {abs(self.lat):.4g}°{north} {abs(self.lon):.4g}°{east}"
+
+
+def dated(projection: Projection | None, earliest: float) -> bool:
+    """Whether times from ``earliest`` on are dates: of geodetic tracks after 1970. Data without times count from 0."""
+    return projection is not None and earliest >= YEAR
