@@ -179,6 +179,16 @@ def test_every_filter_follows(name: str, room: Path) -> None:
     assert ("class@" in out) == (name != "bl2")
 
 
+def test_a_share_that_draws_no_class_anew_is_pointed_out_once(room: Path) -> None:
+    _, plain, err = run("track harbour.model fixes.csv")
+    assert "--depletion" not in err
+    _, given, err = run("track harbour.model fixes.csv --depletion 0.001")
+    assert given == plain  # it is the default
+    assert err.count("--depletion 0.001 of 200 particles is none") == err.count("--depletion") == 1
+    for more in ("--depletion 0", "--depletion 0.0026", "--depletion 0.001 --particles 600"):
+        assert "--depletion" not in run(f"track harbour.model fixes.csv {more}")[2]
+
+
 def test_a_file_of_tracks_serves_as_observations(room: Path) -> None:
     wf.write_tracks(wf.read_tracks("harbour.csv")[0].select([0, 1]), "some.geojson")
     code, out, err = run("track harbour.model some.geojson --particles 50")

@@ -36,6 +36,9 @@ class FormName(StrEnum):
     jsonl = "jsonl"
 
 
+DEPLETION = 0.001  # of 200 particles it redraws none, and lets a recovery find any track
+
+
 @guarded
 def track(
     model: Annotated[Path, arg("Directory that `wakefold learn` made.")],
@@ -66,12 +69,13 @@ def track(
     ] = None,
     particles: Annotated[int, typer.Option(help="Particles of each agent.", min=1, max=1_000_000)] = 200,
     depletion: Annotated[
-        float,
+        float | None,
         typer.Option(
             help="Share of the particles whose class is drawn anew from all tracks in every step. A share that rounds "
-            "to no particle, as .001 of 200, only lets a lost agent be found on any track."
+            f"to no particle, as the default, {DEPLETION} of 200, only lets a lost agent be found on any track.",
+            show_default=False,
         ),
-    ] = 0.001,
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 0,
     forecast: Annotated[str, opt("Forecasts to add to every answer, such as 5min,15min.")] = "",
     format: Annotated[
@@ -108,10 +112,11 @@ def track(
         options.wrong("--rule", "only --filter mhpf has update rules")
     if levels is not None and filter is FilterName.bl2:
         options.wrong("--levels", "--filter bl2 tells no classes apart")
-    if not 0 <= depletion <= 1:
-        options.wrong("--depletion", f"{depletion:g} is not a share from 0 to 1")
+    share = DEPLETION if depletion is None else depletion
+    if not 0 <= share <= 1:
+        options.wrong("--depletion", f"{share:g} is not a share from 0 to 1")
     asked = [] if filter is FilterName.bl2 else options.levels(levels or "3")
-    settings: dict[str, Any] = {"likelihood": likelihood.value, "depletion": depletion, "seed": seed}
+    settings: dict[str, Any] = {"likelihood": likelihood.value, "depletion": share, "seed": seed}
     settings |= {} if sd is None else {"sd": options.length("--sd", sd)}
     silence = options.duration("--max-gap", max_gap)
     horizons = options.horizons(forecast)
@@ -134,6 +139,9 @@ def track(
             follower = wf.BL2(known, particles, **settings)
         case _:
             follower = wf.BL1(known, particles, coarse=filter is FilterName.bl1_coarse, **settings)
+    if depletion and not follower.redrawn and filter is not FilterName.bl2:
+        say(f"--depletion {depletion:g} of {particles:,} particles is none: no class is drawn anew while an agent is "
+            f"followed; more than {0.5 / particles:g} draws one")  # fmt: skip
     crowd = fleet.Crowd(follower, heights, horizons, max_agents, silence, say)
     pages = album.Album(heights) if picture is not None else None
     form = options.form_of_name(output) if format is None else format.value
