@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import wakefold as wf
+from wakefold.base import store
 from wakefold.relations.model import couple_velocity, follow_velocity, near, same_velocity, slow
 
 ENGINES = ["bootstrap", "adapted", "rbk", "collapsed"]
@@ -206,6 +207,45 @@ def test_a_scene_saved_goes_on_bit_for_bit(engine, tmp_path):
     assert scene.activities().probability.tobytes() == again.activities().probability.tobytes()
     with pytest.raises(ValueError, match="another relational model"):
         wf.Scene.load(tmp_path / "scene", pair_model())
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_scene_stored_with_the_arrays_of_both_families_goes_on(engine, tmp_path):
+    """As they were written before each kind of engine had pairs of its own, and scenes knew their engine."""
+    f, fixes = wf.RelationalFilter(pair_model(on_when=near(2.0)), engine, particles=20, seed=4), walkers(steps=12)
+    scene = follow(f, fixes[:6])
+    scene.save(tmp_path / "scene")
+    arrays, meta = store.load(tmp_path / "scene", "scene")
+    count = len(arrays["pairs_0_p"])
+    others = {"pairs_0_counts": np.zeros((count, 2), np.int64), "pairs_0_states": np.zeros((0, 8))}
+    if engine == "collapsed":
+        others = {"pairs_0_bits": np.zeros((0, count), bool)}
+    assert not others.keys() & arrays.keys()
+    meta.pop("engine", None)
+    store.save(tmp_path / "before", dict(arrays) | others, meta, "scene")
+    again = wf.Scene.load(tmp_path / "before", f.model)
+    for fix in fixes[6:]:
+        scan = wf.Detections(fix, sd=0.1, ids=[0, 1])
+        scene, again = f.step(scene, scan, dt=0.4), f.step(again, scan, dt=0.4)
+    assert scene.mean.tobytes() == again.mean.tobytes()
+    assert scene.pairs[0].p.tobytes() == again.pairs[0].p.tobytes()
+    again.save(tmp_path / "after")
+    assert store.load(tmp_path / "after", "scene")[1].get("engine", "collapsed") == engine
+
+
+@pytest.mark.parametrize("engine", ENGINES)
+def test_a_scene_of_another_engine_is_refused(engine, tmp_path):
+    f, scan = wf.RelationalFilter(pair_model(), engine, particles=20), wf.Detections([[0.0, 0.0]], sd=0.1, ids=[0])
+    for other in ENGINES:
+        made = wf.RelationalFilter(pair_model(), other, particles=20)
+        scene = made.step(made.start(), scan, dt=0.0)
+        scene.save(tmp_path / other)
+        for theirs in (made.start(), scene, wf.Scene.load(tmp_path / other, f.model)):
+            if other == engine:
+                f.step(theirs, scan, dt=1.0)
+                continue
+            with pytest.raises(ValueError, match=f"another engine, '{other}': start a new one with this '{engine}'"):
+                f.step(theirs, scan, dt=1.0)
 
 
 @pytest.mark.parametrize("engine", ENGINES)

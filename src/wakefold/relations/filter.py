@@ -21,8 +21,9 @@ from wakefold.relations.engines import sampled as joint
 from wakefold.relations.engines.objects import Settings
 from wakefold.relations.kernels.histories import MOST, WIDTH
 from wakefold.relations.model import RelationalModel, Sampler
+from wakefold.relations.pairs import GaussianPairs, ParticlePairs
 from wakefold.relations.predicates import number
-from wakefold.relations.scene import CollapsedScene, Pairs, Particles, ParticleScene, Scene, outline
+from wakefold.relations.scene import CollapsedScene, Particles, ParticleScene, Scene, outline
 
 Engine = Literal["bootstrap", "adapted", "rbk", "collapsed"]
 ENGINES = ("bootstrap", "adapted", "rbk", "collapsed")
@@ -105,21 +106,21 @@ class RelationalFilter:
             time: seconds (UTC), a datetime or ISO 8601 text.
             agent: a name; scenes of different names draw different random numbers from the same seed.
         """
-        count = 0 if self.settings.engine == "collapsed" else self.settings.particles
         none, whole = np.zeros(0), np.zeros(0, dtype=np.int64)
-        unpaired = Pairs(
-            whole, whole, none, none, np.zeros((0, 2), np.int64), np.zeros((0, WIDTH)), np.zeros((count, 0), bool)
-        )
-        pairs = tuple(
-            unpaired._replace(stages=tuple(begin(none) for _ in self.model.activities_of(r)))
+        unpaired = [
+            (whole, whole, none, none, tuple(begin(none) for _ in self.model.activities_of(r)))
             for r in self.model.relations
-        )
+        ]
         state, spread = np.zeros((0, 2, 2)), np.zeros((0, 3))
-        nobody = (self.model, whole, whole, whole, state, spread, none, none, pairs, agent_key(self.seed, agent))
-        if not count:
-            return CollapsedScene(*nobody, time=timestamp(time), own_mean=state, own_cov=spread)
+        nobody = (self.model, whole, whole, whole, state, spread, none, none)
+        key, now = agent_key(self.seed, agent), timestamp(time)
+        if self.settings.engine == "collapsed":
+            pairs = tuple(GaussianPairs(*p, np.zeros((0, 2), np.int64), np.zeros((0, WIDTH))) for p in unpaired)
+            return CollapsedScene(*nobody, pairs, key, time=now, own_mean=state, own_cov=spread)
+        count = self.settings.particles
+        bits = tuple(ParticlePairs(*p, np.zeros((count, 0), bool)) for p in unpaired)
         particles = Particles(np.zeros((count, 2, 0, 2)), np.zeros((count, 0, 0)), np.zeros((count, 0)), whole)
-        return ParticleScene(*nobody, time=timestamp(time), particles=particles)
+        return ParticleScene(*nobody, bits, key, time=now, particles=particles, engine=self.settings.engine)
 
     def step(
         self,
@@ -164,6 +165,8 @@ class RelationalFilter:
         engine = self.settings.engine
         if engine == "collapsed" and isinstance(scene, CollapsedScene):
             return collapsed.step(self.settings, scene, scan, dt)
-        if engine != "collapsed" and isinstance(scene, ParticleScene):
+        made = scene.engine if isinstance(scene, ParticleScene) else "collapsed"
+        if engine != "collapsed" and isinstance(scene, ParticleScene) and made in (None, engine):
             return joint.step(self.settings, scene, scan, dt)
-        raise ValueError(f"the scene was made by another engine than {engine!r}")
+        by = "an engine with particles" if made is None else f"another engine, {made!r}"
+        raise ValueError(f"the scene was made by {by}: start a new one with this {engine!r}")

@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from wakefold.base import store
 from wakefold.relations.activities import phases, taken_place
 from wakefold.relations.model import RelationalModel
+from wakefold.relations.pairs import GaussianPairs, Pairs, ParticlePairs
 
 KIND = "scene"
+Kind = TypeVar("Kind", bound=Pairs)
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
@@ -75,37 +77,6 @@ class ActivityTable(NamedTuple):
     phases: Floats
 
 
-class Pairs(NamedTuple):
-    """Beliefs about one relation, in order of the pair of objects.
-
-    Attributes:
-        first, second: ``(P,)`` objects, as places in ``Scene``.
-        p: ``(P,)`` probability that the relation holds.
-        looked: ``(P,)`` seconds for which both have been seen.
-        counts, states: ``(P, 2)``, ``(H, 8)`` how many Gaussians over the relative state a pair has, unrelated and
-            related, and these, pair after pair (engine "collapsed"): relative position and velocity, their covariance
-            (position, cross, velocity) and the probability of each.
-        bits: ``(M, P)`` the relation in each particle (the other engines).
-        stages: for each activity about this relation ``(P, S)``, the belief over its stages.
-    """
-
-    first: Ints
-    second: Ints
-    p: Floats
-    looked: Floats
-    counts: Ints
-    states: Floats
-    bits: NDArray[np.bool_]
-    stages: tuple[Floats, ...] = ()
-
-    def keep(self, rows: NDArray) -> Pairs:
-        """The pairs at ``rows`` (places or a mask); of an engine with particles."""
-        stages = tuple(s[rows] for s in self.stages)
-        bits = np.ascontiguousarray(self.bits[:, rows])
-        first, second, p, looked = self.first[rows], self.second[rows], self.p[rows], self.looked[rows]
-        return Pairs(first, second, p, looked, self.counts[rows], self.states, bits, stages)
-
-
 @dataclass(frozen=True, eq=False)
 class Particles:
     """Joint hypotheses about all objects (engines "bootstrap", "adapted", "rbk").
@@ -124,7 +95,7 @@ class Particles:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Scene:
+class Scene(Generic[Kind]):
     """Belief about a scene, of one of two kinds. Immutable: ``RelationalFilter.step`` makes a new one.
 
     Attributes:
@@ -148,7 +119,7 @@ class Scene:
     cov: Floats
     existence: Floats
     unseen: Floats
-    pairs: tuple[Pairs, ...]
+    pairs: tuple[Kind, ...]
     key: NDArray[np.uint64]
     step: int = 0
     serials: int = 0
@@ -268,14 +239,17 @@ class Scene:
         """Store bit for bit as a directory of arrays and a manifest; ``load`` needs the same model again."""
         arrays: dict[str, NDArray] = {name: getattr(self, name) for name in _ARRAYS}
         for i, pairs in enumerate(self.pairs):
-            arrays |= {f"pairs_{i}_{name}": getattr(pairs, name) for name in _PAIRS}
+            arrays |= {f"pairs_{i}_{name}": getattr(pairs, name) for name in (*_PAIRS, *_PAIRS_OF[type(pairs)])}
             arrays |= {f"pairs_{i}_stages_{j}": stages for j, stages in enumerate(pairs.stages)}
         arrays |= self._arrays()
         meta = {name: getattr(self, name) for name in _NUMBERS} | {"model": outline(self.model)}
-        store.save(directory, arrays, meta, KIND)
+        store.save(directory, arrays, meta | self._meta(), KIND)
 
     def _arrays(self) -> dict[str, NDArray]:
         """What only this kind of scene has, as stored."""
+        return {}
+
+    def _meta(self) -> dict[str, Any]:
         return {}
 
     @classmethod
@@ -288,17 +262,19 @@ class Scene:
         arrays, meta = store.load(directory, KIND)
         if meta.get("model") != outline(model):
             raise store.StoreError(f"{directory} was made with another relational model")
+        kind = ParticlePairs if "particles_mean" in arrays else GaussianPairs
         try:
             pairs = []
             for i, relation in enumerate(model.relations):
                 about = len(model.activities_of(relation))
                 stages = tuple(arrays[f"pairs_{i}_stages_{j}"] for j in range(about))
-                pairs.append(Pairs(**{name: arrays[f"pairs_{i}_{name}"] for name in _PAIRS}, stages=stages))
+                held = {name: arrays[f"pairs_{i}_{name}"] for name in (*_PAIRS, *_PAIRS_OF[kind])}
+                pairs.append(kind(**held, stages=stages))
             known: dict[str, Any] = {name: arrays[name] for name in _ARRAYS} | {name: meta[name] for name in _NUMBERS}
             known |= {"model": model, "pairs": tuple(pairs)}
-            if "particles_mean" in arrays:
+            if kind is ParticlePairs:
                 particles = Particles(**{name: arrays[f"particles_{name}"] for name in _PARTICLES})
-                return ParticleScene(**known, particles=particles)
+                return ParticleScene(**known, particles=particles, engine=meta.get("engine"))
             return CollapsedScene(**known, own_mean=arrays["own_mean"], own_cov=arrays["own_cov"])
         except (KeyError, TypeError) as error:
             raise store.StoreError(f"{directory} is damaged: {error}") from None
@@ -326,7 +302,7 @@ class Scene:
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class CollapsedScene(Scene):
+class CollapsedScene(Scene[GaussianPairs]):
     """Of the engine "collapsed".
 
     Attributes:
@@ -341,17 +317,22 @@ class CollapsedScene(Scene):
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
-class ParticleScene(Scene):
+class ParticleScene(Scene[ParticlePairs]):
     """Of the engines "bootstrap", "adapted" and "rbk".
 
     Attributes:
         particles: joint hypotheses about all objects.
+        engine: that made it; None of scenes that were stored when this was not kept.
     """
 
     particles: Particles
+    engine: str | None
 
     def _arrays(self) -> dict[str, NDArray]:
         return {f"particles_{name}": getattr(self.particles, name) for name in _PARTICLES}
+
+    def _meta(self) -> dict[str, Any]:
+        return {"engine": self.engine}
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
@@ -364,7 +345,8 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
 
 
 _ARRAYS = ("ids", "kinds", "serial", "mean", "cov", "existence", "unseen", "key")
-_PAIRS = ("first", "second", "p", "looked", "counts", "states", "bits")
+_PAIRS = ("first", "second", "p", "looked")
+_PAIRS_OF: dict[type[Pairs], tuple[str, ...]] = {GaussianPairs: ("counts", "states"), ParticlePairs: ("bits",)}
 _PARTICLES = ("mean", "cov", "log_weights", "block")
 _NUMBERS = ("step", "serials", "time", "log_evidence", "recoveries")
 

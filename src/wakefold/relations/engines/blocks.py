@@ -6,6 +6,7 @@ Arrays as in ``scene.Particles``: M particles, n objects.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,8 @@ from wakefold.relations.engines.pairs import diffusions
 from wakefold.relations.kernels import sampled as kernel
 from wakefold.relations.model import Sampler
 from wakefold.relations.motion import moving
-from wakefold.relations.scene import Pairs, Particles
+from wakefold.relations.pairs import ParticlePairs
+from wakefold.relations.scene import Particles
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -41,8 +43,8 @@ def rows_of(members: Ints, n: int) -> Ints:
 
 
 def redraw(
-    particles: Particles, pairs: tuple[Pairs, ...], rng: np.random.Generator, always: bool
-) -> tuple[Particles, list[Pairs]]:
+    particles: Particles, pairs: tuple[ParticlePairs, ...], rng: np.random.Generator, always: bool
+) -> tuple[Particles, list[ParticlePairs]]:
     """Copies, each block resampled systematically: ``always``, or when its effective size is below half of M."""
     mean, cov, logs = (np.array(x, order="C") for x in (particles.mean, particles.cov, particles.log_weights))
     bits = [np.array(p.bits) for p in pairs]
@@ -62,12 +64,12 @@ def redraw(
         for p, held in zip(pairs, bits, strict=True):
             inside = np.flatnonzero(particles.block[p.first] == particles.block[members[0]])
             held[:, inside] = held[kept[:, None], inside]
-    again = [p._replace(bits=b) for p, b in zip(pairs, bits, strict=True)]
+    again = [replace(p, bits=b) for p, b in zip(pairs, bits, strict=True)]
     return Particles(mean, cov, logs, particles.block), again
 
 
 def move(
-    s: Settings, particles: Particles, pairs: list[Pairs], kinds: Ints, dt: float, rng: np.random.Generator
+    s: Settings, particles: Particles, pairs: list[ParticlePairs], kinds: Ints, dt: float, rng: np.random.Generator
 ) -> None:
     """Objects move given the relations of before (first factor of Eq. 1), in place; "bootstrap" samples them."""
     count, _, n, d = particles.mean.shape

@@ -28,7 +28,8 @@ from wakefold.relations.engines.pairs import (
 from wakefold.relations.kernels import pairs as kernel
 from wakefold.relations.kernels.histories import WIDTH
 from wakefold.relations.model import Relation
-from wakefold.relations.scene import CollapsedScene, Pairs
+from wakefold.relations.pairs import GaussianPairs
+from wakefold.relations.scene import CollapsedScene
 
 Floats = NDArray[np.float64]
 NONE = np.zeros(0)
@@ -100,13 +101,13 @@ def step(s: Settings, scene: CollapsedScene, scan: Detections | None, dt: float)
 def _step_pairs(
     s: Settings,
     relation: Relation,
-    pairs: Pairs,
+    pairs: GaussianPairs,
     objects: Objects,
     z: Floats,
     variance: Floats,
     seen: NDArray[np.bool_],
     dt: float,
-) -> Pairs:
+) -> GaussianPairs:
     p, counts = np.array(pairs.p), np.array(pairs.counts)
     held = kernel.Held(pairs.first, pairs.second, p, counts, pairs.states)
     states = np.empty((len(pairs.states) + 2 * len(p), WIDTH))  # each mode may gain one
@@ -117,10 +118,10 @@ def _step_pairs(
     about = s.model.activities_of(relation)
     stages = tuple(advance(x, *switched, dt, a) for x, a in zip(pairs.stages, about, strict=True))
     looked = pairs.looked + dt * (seen[pairs.first] & seen[pairs.second])
-    return Pairs(pairs.first, pairs.second, p, looked, counts, states[:many], pairs.bits, stages)
+    return GaussianPairs(pairs.first, pairs.second, p, looked, stages, counts, states[:many])
 
 
-def _with_company(s: Settings, pairs: list[Pairs], objects: Objects) -> tuple[Floats, Floats]:
+def _with_company(s: Settings, pairs: list[GaussianPairs], objects: Objects) -> tuple[Floats, Floats]:
     """Position and velocity as believed: a hidden object is where its own motion or its company has taken it."""
     mean, cov = objects.mean.copy(), objects.cov.copy()
     unseen = objects.unseen > 0

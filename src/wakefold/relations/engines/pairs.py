@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +14,17 @@ from wakefold.relations.activities import begin
 from wakefold.relations.engines.objects import GONE, Objects, Settings
 from wakefold.relations.kernels import histories, turnover
 from wakefold.relations.kernels import pairs as kernel
+from wakefold.relations.kernels.histories import WIDTH
 from wakefold.relations.kernels.looks import Looks
 from wakefold.relations.kernels.predicates import truth
 from wakefold.relations.model import ConstantVelocity, PairEvidence, Relation, RelationalModel
 from wakefold.relations.motion import row
+from wakefold.relations.pairs import GaussianPairs, Pairs, ParticlePairs
 from wakefold.relations.predicates import Predicate
-from wakefold.relations.scene import Pairs
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Kind = TypeVar("Kind", bound=Pairs)
 
 HYSTERESIS = 1.25  # a pair is let go at this many gates
 
@@ -118,9 +121,9 @@ def of_relation(near: Ints, relation: Relation, model: RelationalModel, kinds: I
 
 
 def refresh(
-    pairs: Pairs, relation: Relation, s: Settings, objects: Objects, place: Ints, near: Ints, particles: int = 0
-) -> tuple[Pairs, NDArray[np.bool_]]:
-    """Pairs let go and taken up; the new ones have their prior.
+    pairs: Kind, relation: Relation, s: Settings, objects: Objects, place: Ints, near: Ints
+) -> tuple[Kind, NDArray[np.bool_]]:
+    """Pairs let go and taken up; the new ones have their prior, and are related in no particle yet.
 
     Args:
         place: ``(n_before,)`` new place of each object, -1 for one let go.
@@ -136,28 +139,37 @@ def refresh(
     )
     is_new = source < 0
     if not is_new.any() and len(source) == len(pairs.p):
-        return pairs._replace(first=first, second=second), is_new
-    new = begun(first[is_new], second[is_new], relation, s, objects, particles)
+        return replace(pairs, first=first, second=second), is_new
+    p, states = begun(first[is_new], second[is_new], relation, objects)
 
     def merge(old: Floats, added: Floats) -> Floats:
         out = np.empty((len(source), math.prod(old.shape[1:])))
         turnover.gather(old.reshape(-1, out.shape[1]), added.reshape(-1, out.shape[1]), source, out)
         return out.reshape(-1, *old.shape[1:])
 
-    bits = np.empty((len(pairs.bits), len(source)), dtype=bool)
-    bits[:, ~is_new], bits[:, is_new] = pairs.bits[:, source[~is_new]], new.bits
-    counts, states = (
-        np.empty((len(source), 2), dtype=np.int64),
-        np.empty((len(pairs.states) + len(new.states), histories.WIDTH)),
-    )
-    many = histories.gather(pairs.states, pairs.counts, new.states, new.counts, source, states, counts)
-    stages = tuple(merge(x, y) for x, y in zip(pairs.stages, new.stages, strict=True))
-    columns = merge(pairs.p, new.p), merge(pairs.looked, new.looked)
-    return Pairs(first, second, *columns, counts, states[:many], bits, stages), is_new
+    stages = tuple(merge(x, begin(p)) for x in pairs.stages)
+    merged = replace(
+        pairs, first=first, second=second, p=merge(pairs.p, p), looked=merge(pairs.looked, np.zeros(len(p))),
+        stages=stages, **_told_apart(pairs, states, source),
+    )  # fmt: skip
+    return merged, is_new
 
 
-def begun(first: Ints, second: Ints, relation: Relation, s: Settings, objects: Objects, particles: int) -> Pairs:
-    """New pairs: related with the probability ``prior``, if the predicate holds of them.
+def _told_apart(pairs: Pairs, new: Floats, source: Ints) -> dict[str, NDArray]:
+    """What only one kind of pairs has, of those at ``source`` (-1: the next of the ``new`` states)."""
+    if isinstance(pairs, GaussianPairs):
+        counts, states = np.empty((len(source), 2), dtype=np.int64), np.empty((len(pairs.states) + len(new), WIDTH))
+        one = np.ones((len(new) // 2, 2), dtype=np.int64)
+        many = histories.gather(pairs.states, pairs.counts, new, one, source, states, counts)
+        return {"counts": counts, "states": states[:many]}
+    assert isinstance(pairs, ParticlePairs)
+    bits = np.zeros((len(pairs.bits), len(source)), dtype=bool)
+    bits[:, source >= 0] = pairs.bits[:, source[source >= 0]]
+    return {"bits": bits}
+
+
+def begun(first: Ints, second: Ints, relation: Relation, objects: Objects) -> tuple[Floats, Floats]:
+    """Of new pairs: probability ``(P,)``, which is ``prior`` if the predicate holds, and the two Gaussians of each.
 
     The velocities of two that start related differ as those of long related ones do.
     """
@@ -168,13 +180,7 @@ def begun(first: Ints, second: Ints, relation: Relation, s: Settings, objects: O
     if relation.prior > 0.0:
         p *= holds(relation, first, second, mean, cov, objects)
     p = np.clip(p, kernel.FLOOR, 1.0 - kernel.FLOOR)
-    about = s.model.activities_of(relation)
-    stages = tuple(begin(p) for _ in about)
-    bits = np.zeros((particles, count), dtype=bool)
-    if s.engine != "collapsed":
-        none = np.zeros((count, 2), dtype=np.int64), np.zeros((0, histories.WIDTH))
-        return Pairs(first, second, p, np.zeros(count), *none, bits, stages)
-    states = np.empty((count, 2, histories.WIDTH))
+    states = np.empty((count, 2, WIDTH))
     states[:, :, :4], states[:, :, 4:7] = mean.reshape(count, 1, 4), cov[:, None]
     states[:, 0, 7], states[:, 1, 7] = 1.0 - p, p
     settled = settled_variance(relation)
@@ -183,16 +189,7 @@ def begun(first: Ints, second: Ints, relation: Relation, s: Settings, objects: O
         pull = cov[:, 1:3] / total[:, None]  # of position and velocity
         states[:, 1, :4] -= (pull[:, :, None] * mean[:, 1:2]).reshape(count, 4)
         states[:, 1, 4:7] -= np.column_stack([pull[:, 0] * cov[:, 1], pull[:, 0] * cov[:, 2], pull[:, 1] * cov[:, 2]])
-    return Pairs(
-        first,
-        second,
-        p,
-        np.zeros(count),
-        np.ones((count, 2), dtype=np.int64),
-        states.reshape(-1, histories.WIDTH),
-        bits,
-        stages,
-    )
+    return p, states.reshape(-1, WIDTH)
 
 
 def holds(relation: Relation, first: Ints, second: Ints, mean: Floats, cov: Floats, objects: Objects) -> Floats:

@@ -9,6 +9,7 @@ goes by the size of a block and not of the scene.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,8 @@ from wakefold.relations.kernels import sampled as kernel
 from wakefold.relations.kernels.looks import log_ratios
 from wakefold.relations.kernels.predicates import truth
 from wakefold.relations.model import Relation
-from wakefold.relations.scene import Pairs, Particles, ParticleScene
+from wakefold.relations.pairs import ParticlePairs
+from wakefold.relations.scene import Particles, ParticleScene
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -67,6 +69,7 @@ def step(s: Settings, scene: ParticleScene, scan: Detections | None, dt: float) 
         pairs=tuple(pairs),
         key=scene.key,
         particles=particles,
+        engine=s.engine,
         step=scene.step + 1,
         serials=scene.serials + len(fresh),
         time=scene.time + dt,
@@ -181,7 +184,7 @@ def _sample(particles: Particles, rng: np.random.Generator) -> None:
     particles.cov[:] = 0.0
 
 
-def _relative(particles: Particles, pairs: Pairs, objects: Objects, seen_within: float) -> tuple[NDArray, ...]:
+def _relative(particles: Particles, pairs: ParticlePairs, objects: Objects, seen_within: float) -> tuple[NDArray, ...]:
     """Features of M * P pairs as ``kernels.predicates`` takes them."""
     count, _, n, d = particles.mean.shape
     a, b = pairs.first, pairs.second
@@ -198,7 +201,7 @@ def _relative(particles: Particles, pairs: Pairs, objects: Objects, seen_within:
     return flat[0], flat[1], spread(a, b), spread(n + a, n + b), flat[2], flat[3], own[0], own[1], known
 
 
-def _potentials(s: Settings, objects: Objects, particles: Particles, pairs: list[Pairs], dt: float) -> None:
+def _potentials(s: Settings, objects: Objects, particles: Particles, pairs: list[ParticlePairs], dt: float) -> None:
     """What related pairs look like weighs the particles in which they are related, in place."""
     for relation, p in zip(s.model.relations, pairs, strict=True):
         e = relation.evidence
@@ -223,12 +226,12 @@ def _normalise(particles: Particles) -> None:
 def _switch(
     s: Settings,
     relation: Relation,
-    p: Pairs,
+    p: ParticlePairs,
     objects: Objects,
     particles: Particles,
     dt: float,
     rng: np.random.Generator,
-) -> Pairs:
+) -> ParticlePairs:
     """Relations change given those of before and the objects of now (second factor of Eq. 1)."""
     count, many = p.bits.shape
     u = rng.random((count, many))
@@ -249,19 +252,19 @@ def _switch(
     about = s.model.activities_of(relation)
     stages = tuple(advance(x, before, mean_on, mean_off, dt, a) for x, a in zip(p.stages, about, strict=True))
     both = (objects.unseen[p.first] == 0) & (objects.unseen[p.second] == 0)
-    return p._replace(p=after, looked=p.looked + dt * both, bits=bits, stages=stages)
+    return replace(p, p=after, looked=p.looked + dt * both, bits=bits, stages=stages)
 
 
 def _turnover(
     s: Settings,
     objects: Objects,
     particles: Particles,
-    pairs: list[Pairs],
+    pairs: list[ParticlePairs],
     scan: Detections | None,
     fresh: Ints,
     serials: int,
     rng: np.random.Generator,
-) -> tuple[Objects, Particles, list[Pairs]]:
+) -> tuple[Objects, Particles, list[ParticlePairs]]:
     """Objects leave and enter, pairs are let go and taken up, blocks follow; ``objects`` as the particles then say."""
     mean, cov = summary(particles)
     objects = objects._replace(mean=mean, cov=cov)
@@ -286,7 +289,7 @@ def _turnover(
     near = near[particles.block[near[:, 0]] == particles.block[near[:, 1]]]
     out = []
     for relation, p in zip(s.model.relations, pairs, strict=True):
-        p, new = refresh(p, relation, s, objects, place, near, s.particles)
+        p, new = refresh(p, relation, s, objects, place, near)
         inside = particles.block[p.first] == particles.block[p.second]
         p, new = p.keep(inside), new[inside]
         u = rng.random(p.bits.shape)
@@ -338,7 +341,7 @@ def _edges(s: Settings, objects: Objects, particles: Particles, near: Ints) -> t
     return edges, ((objects.mean[edges[:, 0], 0] - objects.mean[edges[:, 1], 0]) ** 2).sum(axis=1)
 
 
-def _settle(relation: Relation, p: Pairs, particles: Particles, new: Ints) -> None:
+def _settle(relation: Relation, p: ParticlePairs, particles: Particles, new: Ints) -> None:
     """New objects that start related: their velocities differ as those of long related objects do, in place."""
     settled = settled_variance(relation)
     if settled is None:
