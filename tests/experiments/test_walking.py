@@ -242,10 +242,10 @@ def test_exchanges_visit_assignments_as_often_as_they_are_probable():
         exact[np.arange(n), at] += w
         total += w
     begin, member = np.array([0, 1, 2, 4, 5, 6]), np.array([0, 0, 1, 2, 1, 2])
-    count = np.zeros((n, n))
+    ties, count = kernel.Ties(tie, first, second, begin, member), np.zeros((n, n))
     for _ in range(5):
         draws = rng.random((400_000, 5))
-        kernel.exchange(own, tie, first, second, begin, member, np.arange(n), draws, 10_000, 0.2, count)
+        kernel.exchange(own, ties, np.arange(n), draws, 10_000, 0.2, count)
     assert np.abs(count / count.sum(axis=1, keepdims=True) - exact / total).max() < 0.01
 
 

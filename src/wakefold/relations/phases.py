@@ -160,9 +160,9 @@ class PhaseFilter:
             raise ValueError("seen must hold finite positions, or NaN in both coordinates")
         if not (0.0 < sd < math.inf and 0.0 <= dt < math.inf):
             raise ValueError(f"sd must be above 0 and dt must not be negative, got {sd} and {dt}")
-        mean, cov, log_p, begun = belief.mean.copy(), belief.cov.copy(), belief.log_p.copy(), belief.begun.copy()
-        kernel.step(mean, cov, log_p, begun, z, sd * sd, self.speed**2, *self._motions(dt), *self._turns(dt))
-        return PairPhases(mean, cov, log_p, begun)
+        after = PairPhases(belief.mean.copy(), belief.cov.copy(), belief.log_p.copy(), belief.begun.copy())
+        kernel.step(after, z, sd * sd, self.speed**2, self._motions(dt), self._turns(dt))
+        return after
 
     def probabilities(self, belief: PairPhases) -> Floats:
         """``(P, phases)`` probability of each phase, in the order given."""

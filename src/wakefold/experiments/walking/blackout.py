@@ -124,10 +124,11 @@ def reunite(window: Window, belief: Floats | None, settings: Reunion, seed: int 
     ends = np.concatenate([first, second])
     member = (np.argsort(ends, kind="stable") % len(first)).astype(np.int64)
     begin = np.concatenate([[0], np.cumsum(np.bincount(ends, minlength=n))]).astype(np.int64)
+    ties = kernel.Ties(tie, first, second, begin, member)
     count, rng = np.zeros((n, n)), np.random.default_rng(seed)
     for _ in range(CHAINS):
         draws = rng.random((SWEEPS * n, 5))
-        kernel.exchange(own, tie, first, second, begin, member, names.copy(), draws, COOLING * n, HOT, count)
+        kernel.exchange(own, ties, names.copy(), draws, COOLING * n, HOT, count)
     return linear_sum_assignment(-count)[1].astype(np.int64)
 
 

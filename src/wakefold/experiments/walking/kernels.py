@@ -1,17 +1,36 @@
 """Random exchanges of names among people, for ``wakefold.experiments.walking.blackout``."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wakefold.base.compile import inner, kernel
 
 PAIRS, THREES = 0.3, 0.51  # of the exchanges: two pairs; up to here: three people in turn; else two people
 
 
+class Ties(NamedTuple):
+    """Pairs of people.
+
+    Attributes:
+        add: (m, n, n) what is added for pair e = (first, second) at two places.
+        first, second: (m,).
+        begin, member: pairs of each person are ``member[begin[i]:begin[i + 1]]``.
+    """
+
+    add: NDArray[np.float64]
+    first: NDArray[np.int64]
+    second: NDArray[np.int64]
+    begin: NDArray[np.int64]
+    member: NDArray[np.int64]
+
+
 @inner
-def _tied(tie, first, second, begin, member, names, moved, count):
+def _tied(ties, names, moved, count):
     """Sum of the ties of the first ``count`` people in ``moved``, each once."""
+    first, second, begin, member = ties.first, ties.second, ties.begin, ties.member
     total = 0.0
     for k in range(count):
         for r in range(begin[moved[k]], begin[moved[k] + 1]):
@@ -21,19 +40,19 @@ def _tied(tie, first, second, begin, member, names, moved, count):
             for earlier in range(k):
                 counted = counted or moved[earlier] == other
             if not counted:
-                total += tie[e, names[first[e]], names[second[e]]]
+                total += ties.add[e, names[first[e]], names[second[e]]]
     return total
 
 
 @kernel
-def exchange(own, tie, first, second, begin, member, names, draws, cooling, hot, count):
+def exchange(own, ties, names, draws, cooling, hot, count):
     """Metropolis steps over one-to-one assignments, slowly cooled to temperature 1 and then counted.
 
-    own (n, n): log-likelihood of each person at each place; tie (m, n, n): what is added for pair e = (first, second)
-    at two places; pairs of each person in ``member[begin[i]:begin[i + 1]]``; names (n,): the assignment, changed in
-    place; draws (steps, 5) uniform; ``cooling``: steps before counting; ``hot``: inverse temperature at first.
-    Adds to count (n, n) how often each person was at each place.
+    own (n, n): log-likelihood of each person at each place; names (n,): the assignment, changed in place; draws
+    (steps, 5) uniform; ``cooling``: steps before counting; ``hot``: inverse temperature at first. Adds to count (n, n)
+    how often each person was at each place.
     """
+    first, second = ties.first, ties.second
     n, m = len(names), len(first)
     moved, new, old = np.zeros(4, np.int64), np.zeros(4, np.int64), np.zeros(4, np.int64)
     for step in range(len(draws)):
@@ -55,12 +74,12 @@ def exchange(own, tie, first, second, begin, member, names, draws, cooling, hot,
             for j in range(k):
                 apart = apart and moved[j] != moved[k]
         if apart:
-            gain = -_tied(tie, first, second, begin, member, names, moved, size)
+            gain = -_tied(ties, names, moved, size)
             for k in range(size):
                 old[k] = names[moved[k]]
                 gain += own[moved[k], new[k]] - own[moved[k], old[k]]
                 names[moved[k]] = new[k]
-            gain += _tied(tie, first, second, begin, member, names, moved, size)
+            gain += _tied(ties, names, moved, size)
             cold = 1.0 if step >= cooling else hot + (1.0 - hot) * step / cooling
             if math.log(u[4] + 1e-300) >= cold * gain:
                 for k in range(size):

@@ -87,8 +87,8 @@ def frechet_matrix(
 
     def work(piece: NDArray[np.int64]) -> None:
         of_rows, of_columns = (points, tracks.offsets), (other_points, others.offsets)
-        asked = rows[piece], skip[piece]
-        rows_against_columns(*of_rows, *asked, *of_columns, columns, width, begin, packed, boxes, axes, symmetric, out)
+        packing = width, begin, packed, boxes
+        rows_against_columns(of_rows, rows[piece], skip[piece], of_columns, columns, packing, axes, symmetric, out)
 
     thread_map(work, pieces, threads, progress)
     with np.errstate(over="ignore"):

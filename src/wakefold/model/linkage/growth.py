@@ -43,23 +43,21 @@ def grown_tree(
 
     of_new, nowhere = boxes_of(features), np.full(len(new), -1)
     asking = new, of_new.order, features
-    pairs, heights = _edges(*asking, nowhere, old, boxes, index.lanes, rank, range_maxima(gaps), scale, threads)
+    pairs, heights = _edges(asking, nowhere, old, boxes, index.lanes, rank, range_maxima(gaps), scale, threads)
     by = np.argsort(gaps)
     first = np.concatenate([order[:-1][by], len(old) + pairs[:, 0]])
     second = np.concatenate([order[1:][by], pairs[:, 1]])
     forest = grown_forest(None, first, second, np.concatenate([gaps[by], heights]), len(old) + len(new))
 
     rank = forest.rank[len(old) :]
-    pairs, heights = _edges(*asking, rank, new, of_new, in_lanes(of_new), rank, forest.maxima, scale, threads)
+    pairs, heights = _edges(asking, rank, new, of_new, in_lanes(of_new), rank, forest.maxima, scale, threads)
     pairs += len(old)
     forest = grown_forest(forest, pairs[:, 0], pairs[:, 1], heights, len(old) + len(new))
     return np.stack([forest.first, forest.second], axis=1), forest.heights
 
 
 def _edges(
-    new: Tracks,
-    by: Ints,
-    features: NDArray[np.float32],
+    asking: tuple[Tracks, Ints, NDArray[np.float32]],
     entries: Ints,
     others: Tracks,
     boxes: Boxes,
@@ -69,17 +67,17 @@ def _edges(
     scale: tuple[float, float],
     threads: int | None,
 ) -> tuple[Ints, Floats]:
-    """Edges of all new tracks that could be of use, who ask in the order ``by``; see ``kernels.growth``."""
+    """Edges that could be of use of all tracks ``asking``, with their order and features; see ``kernels.growth``."""
     from wakefold.model.linkage.kernels.growth import edges_to
 
-    rank = rank[boxes.order]
+    (new, by, features), rank = asking, rank[boxes.order]
     tree = rank, _over_boxes(np.minimum, rank, boxes.bounds), _over_boxes(np.maximum, rank, boxes.bounds), maxima
     shape = boxes.order, boxes.bounds, boxes.low, boxes.high
     axes = (0,) * new.dim
 
     def work(start: int) -> tuple[Ints, Floats]:
-        asked = by[start : start + PIECE], new.points, new.offsets, features, entries
-        return edges_to(*asked, others.points, others.offsets, shape, lanes, tree, scale, axes)
+        asked = by[start : start + PIECE], (new.points, new.offsets), features, entries
+        return edges_to(*asked, (others.points, others.offsets), shape, lanes, tree, scale, axes)
 
     found = thread_map(work, range(0, len(new), PIECE), threads)
     pairs, heights = zip(*found, strict=True)

@@ -260,8 +260,8 @@ def _search(
     stack = np.empty((len(tiles) + 4 * len(low).bit_length(), 2), dtype=np.int64)
     stack[: len(tiles)] = tiles
     a, b, square = np.empty(ROOM, np.int64), np.empty(ROOM, np.int64), np.empty(ROOM, np.float32)
-    shape = features, lanes, part, bounds, low, high, box_part
-    top, n = close_pairs(*shape, dim, done, limit, stack, len(tiles), a, b, square)
+    boxes = features, lanes, bounds, low, high
+    top, n = close_pairs(boxes, (part, box_part), dim, done, limit, stack, len(tiles), (a, b, square))
     return stack[:top].copy(), a[:n].copy(), b[:n].copy(), square[:n].copy()
 
 

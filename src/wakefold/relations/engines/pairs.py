@@ -16,7 +16,7 @@ from wakefold.relations.kernels import histories, turnover
 from wakefold.relations.kernels import pairs as kernel
 from wakefold.relations.kernels.histories import WIDTH
 from wakefold.relations.kernels.looks import Looks
-from wakefold.relations.kernels.predicates import truth
+from wakefold.relations.kernels.predicates import Features, truth
 from wakefold.relations.model import ConstantVelocity, PairEvidence, Relation, RelationalModel
 from wakefold.relations.motion import row
 from wakefold.relations.pairs import GaussianPairs, Pairs, ParticlePairs
@@ -198,5 +198,6 @@ def holds(relation: Relation, first: Ints, second: Ints, mean: Floats, cov: Floa
     known = np.maximum(objects.unseen[first], objects.unseen[second]) <= relation.seen_within
     state: list[Any] = [mean[:, 0], mean[:, 1], cov[:, 0], cov[:, 2]]
     state += [objects.mean[first, 1], objects.mean[second, 1], objects.cov[first, 2], objects.cov[second, 2]]
-    truth(*program(relation), *(np.ascontiguousarray(x) for x in state), known, out)
+    flat: list[Any] = [np.ascontiguousarray(x) for x in [*state, known]]
+    truth(program(relation), Features(*flat), out)
     return out

@@ -25,7 +25,7 @@ from wakefold.relations.engines.pairs import candidates, looks, program, refresh
 from wakefold.relations.engines.unseen import chances, narrow
 from wakefold.relations.kernels import sampled as kernel
 from wakefold.relations.kernels.looks import log_ratios
-from wakefold.relations.kernels.predicates import truth
+from wakefold.relations.kernels.predicates import Features, truth
 from wakefold.relations.model import Relation
 from wakefold.relations.pairs import ParticlePairs
 from wakefold.relations.scene import Particles, ParticleScene
@@ -122,10 +122,8 @@ def _look(
         else:
             choice = np.empty((count, size), dtype=np.int64)
             density = math.log(max(scan.clutter + scan.birth, TINY))
-            kernel.assign(
-                mean, cov, scan.positions[offered], scan.sd[offered] ** 2, hit, miss, density, s.hypotheses, GATE,
-                u[:, members[0]].copy(), choice, gain,
-            )  # fmt: skip
+            offers_of, logs = (scan.positions[offered], scan.sd[offered] ** 2), (hit, miss, density)
+            kernel.assign(mean, cov, offers_of, logs, s.hypotheses, GATE, u[:, members[0]].copy(), choice, gain)
             detected = choice >= 0
         after = before + gain
         total = float(np.logaddexp.reduce(after))
@@ -184,8 +182,8 @@ def _sample(particles: Particles, rng: np.random.Generator) -> None:
     particles.cov[:] = 0.0
 
 
-def _relative(particles: Particles, pairs: ParticlePairs, objects: Objects, seen_within: float) -> tuple[NDArray, ...]:
-    """Features of M * P pairs as ``kernels.predicates`` takes them."""
+def _relative(particles: Particles, pairs: ParticlePairs, objects: Objects, seen_within: float) -> Features:
+    """Features of M * P pairs."""
     count, _, n, d = particles.mean.shape
     a, b = pairs.first, pairs.second
     x, v, cov = particles.mean[:, 0], particles.mean[:, 1], particles.cov
@@ -198,7 +196,7 @@ def _relative(particles: Particles, pairs: ParticlePairs, objects: Objects, seen
     known = np.broadcast_to(known, (count, len(a))).reshape(-1)
     own = [np.maximum(cov[:, n + i, n + i], 0.0).reshape(-1) for i in (a, b)]
     flat = [np.ascontiguousarray(y.reshape(-1, d)) for y in (u, w, v[:, a], v[:, b])]
-    return flat[0], flat[1], spread(a, b), spread(n + a, n + b), flat[2], flat[3], own[0], own[1], known
+    return Features(flat[0], flat[1], spread(a, b), spread(n + a, n + b), flat[2], flat[3], own[0], own[1], known)
 
 
 def _potentials(s: Settings, objects: Objects, particles: Particles, pairs: list[ParticlePairs], dt: float) -> None:
@@ -207,10 +205,10 @@ def _potentials(s: Settings, objects: Objects, particles: Particles, pairs: list
         e = relation.evidence
         if e is None or not len(p.first):
             continue
-        u, w, _, _, va, vb, *_ = _relative(particles, p, objects, 0.0)
-        out = np.empty(len(u))
+        f = _relative(particles, p, objects, 0.0)
+        out = np.empty(len(f.u))
         seconds = looks(e, p.looked, dt)
-        log_ratios(u, w, va, vb, seconds, out)
+        log_ratios(f.u, f.w, f.va, f.vb, seconds, out)
         seen = (objects.unseen[p.first] == 0) & (objects.unseen[p.second] == 0)
         gain = np.where(p.bits & seen, seconds.share * out.reshape(p.bits.shape), 0.0)
         for k in np.flatnonzero(seen):
@@ -237,9 +235,9 @@ def _switch(
     u = rng.random((count, many))
     holds = np.empty(count * many)
     features = _relative(particles, p, objects, relation.seen_within)
-    truth(*program(relation), *features, holds)
+    truth(program(relation), features, holds)
     chances = switches(relation, dt)
-    holds, known = holds.reshape(count, many), features[-1].reshape(count, many)
+    holds, known = holds.reshape(count, many), features.seen.reshape(count, many)
     on, off = (np.where(known, holds * c[0] + (1.0 - holds) * c[1], c[2]) for c in chances.T)
     weights = small.exp(particles.log_weights[:, p.first])
     before = (weights * p.bits).sum(axis=0)

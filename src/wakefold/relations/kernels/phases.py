@@ -66,18 +66,19 @@ def _merge(mean, cov, log_p, j, x, c, log_w):
 
 
 @kernel
-def step(mean, cov, log_p, begun, z, variance, speed, f, q, before, after, log_turn, asked):
+def step(belief, z, variance, speed, motions, turns):
     """Beliefs about P pairs after a step and the positions seen then, in place.
 
     Args:
-        mean, cov, log_p: (P, K, 4, d), (P, K, 4, 4), (P, K) of each phase; phases that are impossible have -inf.
-        begun: (P, 2) whether an object has been seen before.
+        belief: ``PairPhases``; phases that are impossible have -inf.
         z: (P, 2, d) positions, NaN where not seen; variance: of their noise; speed: variance of a new velocity.
-        f, q: (K, 4, 4) motion in each phase.
-        before, after, log_turn, asked: (J,), (J,), (J,), (J, 3) turns from phase to phase: log-probability, and
+        motions: f, q, (K, 4, 4) motion in each phase.
+        turns: before, after, log_turn, asked, (J,), (J,), (J,), (J, 3), from phase to phase: log-probability, and
             variances of what the objects must be like for it (``ASKED``; the last for both velocities), inf for no
             matter what. They are made once both objects have been seen.
     """
+    mean, cov, log_p, begun = belief.mean, belief.cov, belief.log_p, belief.begun
+    (f, q), (before, after, log_turn, asked) = motions, turns
     count, phases, _, d = mean.shape
     moved, moved_c = np.empty((phases, 4, d)), np.empty((phases, 4, 4))
     x, c, stay = np.empty((4, d)), np.empty((4, 4)), np.empty(phases)

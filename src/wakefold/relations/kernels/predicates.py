@@ -5,14 +5,38 @@ A predicate is the probability, under the Gaussian belief about the objects, tha
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from wakefold.base.compile import inner, kernel
 from wakefold.relations.kernels.codes import AHEAD, AND, CLOSING, NEAR, NOT, OR, SAME_VELOCITY, SLOW, UNLESS
 
 AT_ONCE = 64  # pairs: a program is interpreted once for so many of them
 FEATURES = 13
+
+
+class Features(NamedTuple):
+    """Of n pairs what a program asks for, in the order of ``evaluate``.
+
+    Attributes:
+        u, w: (n, 2) position and velocity of the second object less those of the first.
+        var, var_v: (n,) their variances per axis.
+        va, vb: (n, 2) velocities of both.
+        var_a, var_b: (n,) their variances per axis.
+        seen: (n,) whether both were seen lately.
+    """
+
+    u: NDArray[np.float64]
+    w: NDArray[np.float64]
+    var: NDArray[np.float64]
+    var_v: NDArray[np.float64]
+    va: NDArray[np.float64]
+    vb: NDArray[np.float64]
+    var_a: NDArray[np.float64]
+    var_b: NDArray[np.float64]
+    seen: NDArray[np.bool_]
 
 
 @inner
@@ -100,11 +124,9 @@ def evaluate(ops, numbers, many, f, until, stack):
 
 
 @kernel
-def truth(ops, numbers, u, w, var, var_v, va, vb, var_a, var_b, seen, out):
-    """Probability that a program's statement holds of n pairs, into ``out``; 1 where the program is empty.
-
-    ``u, w, va, vb`` (n, 2), the others (n,); see ``evaluate``.
-    """
+def truth(program, features, out):
+    """Probability that a program's statement holds of n pairs, into ``out``; 1 where the program is empty."""
+    (ops, numbers), (u, w, var, var_v, va, vb, var_a, var_b, seen) = program, features
     f, until = np.empty((FEATURES, AT_ONCE)), np.empty(AT_ONCE, dtype=np.int64)
     stack = np.empty((max(len(ops), 1), AT_ONCE))
     if len(ops) == 0:

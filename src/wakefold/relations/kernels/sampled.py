@@ -91,7 +91,7 @@ def see(mean, cov, which, z, variance, out):
 
 
 @kernel
-def assign(mean, cov, z, variance, hit, miss, away, beam, gate, u, choice, out):
+def assign(mean, cov, seen, logs, beam, gate, u, choice, out):
     """Draw for each particle which detection each object has, in proportion to its probability, and update.
 
     Object after object takes a detection or none; of the joint assignments so far the ``beam`` best are kept, each with
@@ -99,14 +99,15 @@ def assign(mean, cov, z, variance, hit, miss, away, beam, gate, u, choice, out):
 
     Args:
         mean, cov: (M, D, d), (M, D, D), in place.
-        z, variance: (m, d), (m,) detections.
-        hit, miss: (M, n) log probability that an object is there and detected; that it is not detected.
-        away: log density of detections that are of no object.
+        seen: positions (m, d) and variances (m,) of detections.
+        logs: (M, n) log probability that an object is there and detected; (M, n) that it is not detected; log density
+            of detections that are of no object.
         gate: detections farther than this many standard deviations are not considered.
         u: (M,) uniforms.
         choice: (M, n) out: detection of each object, -1 for none.
         out: (M,) log-likelihood is added (relative to all detections being of no object).
     """
+    (z, variance), (hit, miss, away) = seen, logs
     count, n, many, d, size = len(mean), hit.shape[1], len(z), z.shape[1], mean.shape[1]
     means, covs = np.empty((2, beam, size, d)), np.empty((2, beam, size, size))
     score, picks = np.empty((2, beam)), np.empty((2, beam, n), dtype=np.int64)

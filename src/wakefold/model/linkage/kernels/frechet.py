@@ -189,21 +189,21 @@ def pack_columns(points, offsets, columns, width, begin, out, boxes):
 
 
 @kernel
-def rows_against_columns(
-    points, offsets, rows, skip, others, other_offsets, columns, width, begin, packed, boxes, axes, mirror, out
-):
+def rows_against_columns(tracks, rows, skip, others, columns, packing, axes, mirror, out):
     """Fréchet distances of some tracks to packed columns, ``out[track, column's track]``.
 
     Args:
-        points, offsets: ragged tracks of the rows.
+        tracks: points and offsets of the ragged tracks of the rows.
         rows: ``(r,)`` tracks.
         skip: ``(r,)`` leading columns each row does not need.
-        others, other_offsets: ragged tracks of the columns, of the dtype of ``packed``.
-        columns, width, begin, packed, boxes: see ``pack_columns``.
+        others: the same of the columns, of the dtype of ``packed``.
+        columns: ``(c,)`` tracks.
+        packing: width, begin, packed, boxes, see ``pack_columns``.
         axes: tuple of d integers.
         mirror: write ``out[column's track, track]`` too.
         out: written where a row needs a column; distances, not squared.
     """
+    (points, offsets), (other_points, other_offsets), (width, begin, packed, boxes) = tracks, others, packing
     d = points.shape[1]
     lanes = lanes_of(packed)
     tallest = longest(offsets, rows, np.intp(0), len(rows)) + TILE
@@ -241,7 +241,7 @@ def rows_against_columns(
             across = width[rest[start] // lanes]
             for lane in range(lanes):
                 other = columns[rest[min(start + lane, left - 1)]]
-                pack(others, other_offsets[other], other_offsets[other + 1], across, b, lane)
+                pack(other_points, other_offsets[other], other_offsets[other + 1], across, b, lane)
             batch_squared(a, height, b, across, table, axes)
             for k in range(start, min(start + lanes, left)):
                 out[track, columns[rest[k]]] = np.sqrt(table[(across - 1) * lanes + k - start])

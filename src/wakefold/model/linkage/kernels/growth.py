@@ -40,7 +40,7 @@ def limit_by(way, entry, first, last, maxima, scale):
 
 
 @kernel
-def edges_to(asking, points, offsets, features, entries, others, other_offsets, boxes, lanes, tree, scale, axes):
+def edges_to(asking, tracks, features, entries, others, boxes, lanes, tree, scale, axes):
     """Edges of some tracks that could be part of a minimum spanning tree, given a tree of those they are to join.
 
     An edge is of no use if the tracks at its ends are joined by a way no longer than its lower bound: over the entry,
@@ -48,10 +48,10 @@ def edges_to(asking, points, offsets, features, entries, others, other_offsets, 
 
     Args:
         asking: the tracks that ask; those near each other in turn find boxes and ranks in the cache.
-        points, offsets, features: ragged tracks, and their features ``(K, F)``.
+        tracks, features: points and offsets of ragged tracks, and their features ``(K, F)``.
         entries: ``(K,)`` ranks of the tracks that ask if they are in the tree and in the boxes, otherwise -1. Of two
             tracks in the boxes, the first one asks.
-        others, other_offsets: ragged tracks in the boxes.
+        others: points and offsets of the tracks in the boxes.
         boxes: their order, bounds, low, high: see ``wakefold.model.linkage.bounds.Boxes``.
         lanes: features of the tracks in the boxes once more, see ``wakefold.model.linkage.bounds.in_lanes``.
         tree: ranks of the others in box order, least and largest rank in each box, range maxima of the gaps.
@@ -61,6 +61,7 @@ def edges_to(asking, points, offsets, features, entries, others, other_offsets, 
     Returns:
         ``(E, 2)`` track that asks, other; ``(E,)`` distances, metres.
     """
+    (points, offsets), (other_points, other_offsets) = tracks, others
     order, bounds, low, high = boxes
     rank, first, last, maxima = tree
     inner, d = len(bounds) - 2, len(axes)
@@ -94,7 +95,7 @@ def edges_to(asking, points, offsets, features, entries, others, other_offsets, 
             if m == 0:
                 continue
             track = points[offsets[x] : offsets[x + 1]]
-            track_against_tracks(track, others, other_offsets, order[places[:m]], axes, found)
+            track_against_tracks(track, other_points, other_offsets, order[places[:m]], axes, found)
             for k in range(m):
                 if count == len(heights):
                     pairs, heights = np.concatenate((pairs, pairs)), np.concatenate((heights, heights))

@@ -91,22 +91,23 @@ def gaps_squared(features, a, lanes, leaf, d):
 
 
 @ordered_kernel
-def close_pairs(features, lanes, part, bounds, low, high, box_part, d, done, limit, stack, top, first, second, bound):
+def close_pairs(boxes, parts, d, done, limit, stack, top, found):
     """Pairs of tracks of different parts with ``done <= bound < limit``, as many as there is room for.
 
     Args:
-        features: ``(M, F)`` see ``wakefold.model.linkage.bounds``; tracks in box order.
-        lanes: the same, flat: for each leaf box and feature one vector with a track in every lane, inf where none is.
-        part: ``(M,)`` labels.
-        bounds, low, high, box_part: tracks of the leaf boxes, corners ``(B, F)`` and parts of all boxes.
+        boxes: features ``(M, F)`` of the tracks in box order, see ``wakefold.model.linkage.bounds``; the same, flat:
+            for each leaf box and feature one vector with a track in every lane, inf where none is; tracks of the leaf
+            boxes; lower and upper corners ``(B, F)`` of all boxes.
+        parts: labels of the tracks ``(M,)`` and of all boxes.
         d: coordinates of a point.
         done, limit: squares of lower bounds.
         stack: ``(n, 2)`` pairs of boxes; ``stack[:top]`` are still to be looked at.
-        first, second, bound: room for the pairs and the squares of their bounds.
+        found: room for the first and the second of the pairs and the squares of their bounds.
 
     Returns:
         the new top of the stack, 0 when nothing is left to look at, and the number of pairs written.
     """
+    (features, lanes, bounds, low, high), (part, box_part), (first, second, bound) = boxes, parts, found
     leaves = len(bounds) - 1
     inner = leaves - 1
     count = 0
