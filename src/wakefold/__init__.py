@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from wakefold.filters.calibrated import Calibrated
     from wakefold.filters.hmm import GaussianHMM
     from wakefold.filters.mhpf import MHPF
-    from wakefold.io import read_tracks, write_tracks
+    from wakefold.io.read import read_tracks
+    from wakefold.io.write import write_tracks
     from wakefold.model.deviation import Deviation
     from wakefold.model.filtration import Filtration
     from wakefold.model.linkage.distance import frechet, frechet_matrix
