@@ -31,6 +31,11 @@ def test_noise_and_losses_are_those_asked_for(made):
 
 
 def test_ships_that_meet_are_near_and_slow_and_then_part(made):
+    """How long and how near is fixed; that they come from afar or go far is missed by one in 1,000 or so.
+
+    So it is by five of 40 with probability 1e-9; of ships that stay, by all.
+    """
+    afar = 0
     for i in np.flatnonzero(made.positive):
         together = made.phase[i] == TOGETHER
         assert 5 <= together.sum() <= 41
@@ -38,8 +43,10 @@ def test_ships_that_meet_are_near_and_slow_and_then_part(made):
         speed = np.linalg.norm(np.diff(made.truth[i], axis=1), axis=-1)[:, together[1:]] / DT
         assert distance[together].max() <= 305.0
         assert speed.max() < 2.0
-        assert distance[0] > 2000 or distance[-1] > 2000
+        afar += distance[0] > 2000 or distance[-1] > 2000
         assert (np.diff(made.phase[i]) >= 0).all()
+    assert made.positive.sum() == 40
+    assert afar > 35
 
 
 def test_other_ships_do_what_their_kind_says(made):

@@ -457,10 +457,13 @@ def forks(astray, seed=0):
 
 
 def test_the_power_is_low_where_what_is_seen_early_misleads():
-    """Mean over twelve seeds; one has 1, .57 (sd .16) and .34 (.07): 4.6 sd of the mean apart and more."""
+    """Mean over twelve seeds; one has 1 (but .8 or so in 1 of 50), .50 (sd .14) and .30 (.10).
+
+    The differences are .49 (.14) and .20 (.11) of one seed: 6 sd of the mean and more, as are the other bounds.
+    """
     runs = [[wf.learn(forks(astray, seed), sd=0.1) for astray in (0.0, 0.5, 1.0)] for seed in range(12)]
     powers = np.mean([[wf.Deviation.learn(m).power for m in run] for run in runs], axis=0)
-    assert powers[0] == 1.0
+    assert powers[0] > 0.9
     assert powers[0] > powers[1] > powers[2] > 0.1
     apart = wf.learn(wf.Tracks.from_arrays([np.stack([np.arange(9.0), np.full(9, y)], axis=1) for y in (0, 1, 2)]))
     assert wf.Deviation.learn(apart).power == 1.0  # the only parent holds every track
@@ -551,7 +554,10 @@ def test_confusion_is_what_the_filter_weighs_reports_by(lanes):
 
 
 def test_wrong_reports_are_found_out(lanes):
-    """Fixes say one lane, reports another: the filter learns not to trust them."""
+    """Fixes say one lane, reports another: the filter learns not to trust them.
+
+    Nothing is left to chance: where there are as many components as points, none are drawn, and all seeds are alike.
+    """
     f = wf.Calibrated(lanes, 40, deviation=beside(lanes, 0.5))
     liar, honest = (f.start(fix=wf.Fix(lanes.tracks[0][0], sd=0.1)) for _ in range(2))
     for at in lanes.tracks[0][1:20]:

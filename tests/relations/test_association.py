@@ -24,16 +24,18 @@ def test_a_pull_keeps_a_pair_at_its_spacing_in_the_long_run():
     assert np.sqrt(motion[4]) == pytest.approx(0.1 / np.sqrt(2 * 0.5 * 0.02), rel=1e-6)
 
 
-@pytest.mark.parametrize("engine", ["bootstrap", "adapted", "rbk", "collapsed"])
-def test_two_without_names_keep_their_tracks(engine):
-    """In 19 of 20 seeds of filter and detections by "bootstrap", by the others in all: positions within .24 m.
+@pytest.mark.parametrize(
+    ("engine", "seeds", "chance"),
+    [("bootstrap", 40, 0.93), ("adapted", 20, 0.97), ("rbk", 20, 0.97), ("collapsed", 20, 0.97)],
+)
+def test_two_without_names_keep_their_tracks(engine, seeds, chance):
+    """In 79 of 80 seeds of filter and detections by "bootstrap", by the others in all: positions within .24 m.
 
-    An engine that loses a track in half of the seeds fails with probability .996 ("bootstrap": .59 at half, .998 at
-    three in four).
+    An engine that loses a track in half of the seeds fails with probability .98 ("bootstrap": .999).
     """
     model = wf.RelationalModel({"person": wf.ConstantVelocity(q=0.3, speed=0.8)})
     kept = 0
-    for seed in range(20):
+    for seed in range(seeds):
         f = wf.RelationalFilter(model, engine, particles=300, gate=6.0, seed=seed)
         scene, rng = f.start(), np.random.default_rng(seed)
         for k in range(15):
@@ -43,7 +45,7 @@ def test_two_without_names_keep_their_tracks(engine):
         tracks = scene.tracks()
         if len(tracks.ids) == 2:
             kept += bool(np.abs(tracks.position[np.argsort(tracks.position[:, 1])] - at).max() < 0.5)
-    assert kept >= fewest(20, 0.85 if engine == "bootstrap" else 0.97)
+    assert kept >= fewest(seeds, chance)
 
 
 def test_somebody_unseen_is_where_one_cannot_see():

@@ -62,7 +62,7 @@ def test_looks_add_up_as_in_a_plain_loop(engine, within, fade):
     if engine == "collapsed":  # what it keeps of the pair, both modes alike
         relative = np.array([s.pairs[0].states[-1, :4].reshape(2, 2) for s in scenes[1:]])
     told = naive.faded_looks(relative, np.hypot(*own[:, :, 1].T).T, there[1:], np.diff(t), looks(fade))
-    assert abs(told) > 0.3
+    assert abs(told) > 0.3  # of this walk: there is something to tell
     p = 1 / (1 + (1 - PRIOR) / PRIOR * np.exp(-told))
     assert scenes[-1].probability("together", 0, 1) == pytest.approx(p, abs=within)
 
@@ -144,13 +144,21 @@ def at_the_end(walkers, pairs, relation):
 
 @pytest.mark.parametrize("fade", [0.0, 0.15])
 def test_the_filter_recognises_twos_with_constants_learned(known, fade):
+    """Means of four scenes, which over scenes, those learned from too, are .984 (sd .015) and .0028 (.0007).
+
+    So the bounds are 5 and 10 sd away. A filter that counts no looks finds nobody and is .18 (.015) off.
+    """
     constants = fit([c for _, c, _ in known], [y for *_, y in known], fade=fade, online=True)
-    walkers, people, truth = ready(11, people=40, spacing=1.2)
-    own = constants.settle(people)
-    p = at_the_end(walkers, people.pairs, constants.relation(people, own))
-    assert f1(truth, p > 0.5) > 0.9
-    whole = constants.over_time(walkers, people, own)[people.pairs.offsets[1:] - 1]
-    assert np.abs(p - whole).mean() < 0.02  # the filter does not count the first frame, and reads a table
+    told = []
+    for seed in (11, 12, 13, 14):
+        walkers, people, truth = ready(seed, people=40, spacing=1.2)
+        own = constants.settle(people)
+        p = at_the_end(walkers, people.pairs, constants.relation(people, own))
+        whole = constants.over_time(walkers, people, own)[people.pairs.offsets[1:] - 1]
+        told.append((f1(truth, p > 0.5), np.abs(p - whole).mean()))
+    found, off = np.mean(told, axis=0)
+    assert found > 0.9
+    assert off < 0.01  # the filter does not count the first frame, and reads a table
 
 
 def test_constants_that_do_not_add_up_make_no_relation(known):

@@ -92,17 +92,23 @@ TURNS = [
 
 
 @pytest.mark.parametrize("missing", [0.0, 0.6])
-@pytest.mark.parametrize("seed", range(4))
-def test_phases_are_those_of_enumeration(seed, missing):
-    """Exact until histories are merged, then near: of 12 scenes the worst were off by .003, .036 and .072."""
+def test_phases_are_those_of_enumeration(missing):
+    """Exact until histories are merged, then near: means over eight scenes.
+
+    One is off by .0010 (sd .0008), .020 (.007) and .060 (.013) where everything is seen, by less where not: the bounds
+    are 5 sd of the mean away and more.
+    """
     f = PhaseFilter(PHASES, TURNS, speed=SPEED)
-    for steps, within in ((2, 1e-9), (3, 0.005), (4, 0.05), (5, 0.1)):
-        seen = two_ships(seed, steps, missing)
-        got = f.probabilities(follow(f, seen))[0]
-        np.testing.assert_allclose(got, enumerated(PHASES, TURNS, seen), atol=within)
-        assert f.log_odds(follow(f, seen), ["together", "parted"])[0] == pytest.approx(
-            math.log((1 - got[0]) / got[0]), rel=1e-6
-        )
+    for steps, within in ((2, 1e-9), (3, 0.0025), (4, 0.033), (5, 0.085)):
+        off = []
+        for seed in range(8):
+            seen = two_ships(seed, steps, missing)
+            got = f.probabilities(follow(f, seen))[0]
+            off.append(np.abs(got - enumerated(PHASES, TURNS, seen)).max())
+            assert f.log_odds(follow(f, seen), ["together", "parted"])[0] == pytest.approx(
+                math.log((1 - got[0]) / got[0]), rel=1e-6
+            )
+        assert np.mean(off) < within
 
 
 def test_without_turns_both_ships_are_kalman_filters():
