@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 import wakefold as wf
 from wakefold.base import random
 from wakefold.base.random import agent_key
-from wakefold.filters.particles import COPIES, NOISE, OPEN, resample
+from wakefold.filters.particles import COPIES, NOISE, OPEN
+from wakefold.filters.resampling import resample
 
 
 def some_tracks(seed=0, count=9, dim=2, duplicate=True):

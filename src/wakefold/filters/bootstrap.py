@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from wakefold.base.units import Time
-from wakefold.evidence.evidence import Evidence, in_order
 from wakefold.evidence.fix import Fix
 from wakefold.filters.belief import Belief, FieldBelief, TrackBelief
 from wakefold.filters.kernels import particles as kernel
-from wakefold.filters.particles import NOISE, Kind, ParticleFilter, elapsed
+from wakefold.filters.particles import NOISE, Items, Kind, ParticleFilter
 from wakefold.model.model import Model
 
 
@@ -32,20 +29,8 @@ class BL1(ParticleFilter[TrackBelief]):
         super().__init__(model, particles, **settings)
         self.coarse = coarse
 
-    def step(
-        self,
-        belief: Belief,
-        evidence: Sequence[Evidence] = (),
-        dt: float | None = None,
-        *,
-        time: Time | None = None,
-    ) -> TrackBelief:
-        """The belief after ``dt`` seconds (or at ``time``) and the evidence; no evidence is a missing observation.
-
-        Raises:
-            ValueError, TypeError: evidence that does not fit the model, or a time that runs backwards.
-        """
-        return _step(self, belief, evidence, dt, time, self.coarse)
+    def _step(self, belief: Belief, items: Items, dt: float, now: float | None) -> TrackBelief:
+        return _step(self, belief, items, dt, now, self.coarse)
 
 
 class BL2(ParticleFilter[FieldBelief]):
@@ -56,28 +41,11 @@ class BL2(ParticleFilter[FieldBelief]):
 
     single, kind = False, FieldBelief
 
-    def step(
-        self,
-        belief: Belief,
-        evidence: Sequence[Evidence] = (),
-        dt: float | None = None,
-        *,
-        time: Time | None = None,
-    ) -> FieldBelief:
-        """See ``BL1.step``."""
-        return _step(self, belief, evidence, dt, time, coarse=False)
+    def _step(self, belief: Belief, items: Items, dt: float, now: float | None) -> FieldBelief:
+        return _step(self, belief, items, dt, now, coarse=False)
 
 
-def _step(
-    f: ParticleFilter[Kind],
-    belief: Belief,
-    evidence: Sequence[Evidence],
-    dt: float | None,
-    time: Time | None,
-    coarse: bool,
-) -> Kind:
-    items = in_order(evidence, f.model.filtration)
-    dt, now = elapsed(belief, dt, time)
+def _step(f: ParticleFilter[Kind], belief: Belief, items: Items, dt: float, now: float | None, coarse: bool) -> Kind:
     points, classes, logs = f._open(belief)
     f._roll(belief, NOISE, points, classes, dt)
     ignored, told = belief.ignored, []

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal, NamedTuple, overload
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -15,11 +14,12 @@ from wakefold.base.random import agent_key
 from wakefold.base.units import LOST, Time, timestamp
 from wakefold.evidence.coarse import CoarseClass, alive_classes, coarse_log_g
 from wakefold.evidence.confusion import Confusion, Reliability
-from wakefold.evidence.evidence import Evidence, in_order
+from wakefold.evidence.evidence import Evidence
 from wakefold.evidence.fix import Fix
 from wakefold.filters.belief import Belief, GaussianBelief, Gaussians
 from wakefold.filters.kernels import particles as kernel
-from wakefold.filters.particles import RECOVER, START, Floats, Ints, ParticleFilter, elapsed, pick_strata
+from wakefold.filters.particles import RECOVER, START, Floats, Ints, Items, ParticleFilter
+from wakefold.filters.resampling import pick_strata
 from wakefold.model.deviation import KINDS, Deviation
 from wakefold.model.kernels import components
 from wakefold.model.model import Model
@@ -165,22 +165,8 @@ class Calibrated(ParticleFilter[GaussianBelief]):
 
     # Steps
 
-    def step(
-        self,
-        belief: Belief,
-        evidence: Sequence[Evidence] = (),
-        dt: float | None = None,
-        *,
-        time: Time | None = None,
-    ) -> GaussianBelief:
-        """The belief after ``dt`` seconds (or at ``time``) and the evidence; no evidence is a missing observation.
-
-        Raises:
-            ValueError, TypeError: evidence that does not fit the model, or a time that runs backwards.
-        """
+    def _step(self, belief: Belief, items: Items, dt: float, now: float | None) -> GaussianBelief:
         tree = self.model.filtration
-        items = in_order(evidence, tree)
-        dt, now = elapsed(belief, dt, time)
         cloud = self._opened(belief)
         if self.depletion > 0.0:
             components.mix_classes(cloud.log_weights, cloud.classes, self.depletion, len(tree))
@@ -262,24 +248,10 @@ class Calibrated(ParticleFilter[GaussianBelief]):
         points, covs = np.tile(mean, (n, 1)), np.tile(cov, (n, 1, 1))
         return self._cloud(points, covs, np.full(n, (weights * cloud.spreads).sum()), classes, small.log(count))
 
-    @overload
-    def forecast(self, belief: Belief, horizon: float) -> GaussianBelief: ...
-    @overload
-    def forecast(self, belief: Belief, horizon: Sequence[float]) -> list[GaussianBelief]: ...
-    def forecast(self, belief: Belief, horizon: float | Sequence[float]) -> GaussianBelief | list[GaussianBelief]:
-        """The belief about ``horizon`` seconds from now without evidence; several horizons, in rising order, a list."""
-        one = isinstance(horizon, (int, float))
-        horizons = [float(horizon)] if one else [float(h) for h in horizon]
-        cloud, done, out = self._opened(belief), 0.0, []
-        for h in horizons:
-            if not h >= done:
-                raise ValueError(f"horizons must be seconds >= 0 in rising order, got {h} after {done}")
-            self._advance(cloud, h - done)
-            done = h
-            time = None if belief.time is None else belief.time + h
-            gaussians = Gaussians(cloud.covs.copy(), cloud.spreads, cloud.trust)
-            out.append(replace(belief, points=cloud.points.copy(), gaussians=gaussians, time=time))
-        return out[0] if one else out
+    def _ahead(self, belief: GaussianBelief, leg: int, dt: float) -> GaussianBelief:
+        cloud = self._opened(belief)
+        self._advance(cloud, dt)
+        return replace(belief, points=cloud.points, gaussians=Gaussians(cloud.covs, cloud.spreads, cloud.trust))
 
     def genuine(self, belief: Belief) -> float:
         """Expected share of genuine reports, given all there were; 1 when reports are taken to be genuine."""

@@ -10,13 +10,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from wakefold.base.units import Time
 from wakefold.evidence.coarse import CoarseClass
-from wakefold.evidence.evidence import Evidence, in_order
 from wakefold.evidence.fix import Fix
 from wakefold.filters.belief import Belief, Stack, StackBelief
 from wakefold.filters.kernels import particles as kernel
-from wakefold.filters.particles import COPIES, NOISE, Floats, Ints, ParticleFilter, elapsed
+from wakefold.filters.particles import COPIES, NOISE, Floats, Ints, Items, ParticleFilter
 from wakefold.model.kernels import motion
 from wakefold.model.model import Model
 
@@ -82,21 +80,7 @@ class MHPF(ParticleFilter[StackBelief]):
             used[: len(tree)] = False
         return kernel.nearest_used(tree.parent, used)
 
-    def step(
-        self,
-        belief: Belief,
-        evidence: Sequence[Evidence] = (),
-        dt: float | None = None,
-        *,
-        time: Time | None = None,
-    ) -> StackBelief:
-        """The belief after ``dt`` seconds (or at ``time``) and the evidence; no evidence is a missing observation.
-
-        Raises:
-            ValueError, TypeError: evidence that does not fit the model, or a time that runs backwards.
-        """
-        items = in_order(evidence, self.model.filtration)
-        dt, now = elapsed(belief, dt, time)
+    def _step(self, belief: Belief, items: Items, dt: float, now: float | None) -> StackBelief:
         up = self._up(*(level for level, item in items if not isinstance(item, Fix)))
         points, classes, logs = self._open(belief)  # Algorithm 1, lines 12-13 of the step before
         sets = _Sets(self, classes, up, logs, points.copy(), belief, dt)  # lines 3-9 for the coarse sets

@@ -7,6 +7,7 @@ MHPF and BL1 draw the same numbers, and no agent's numbers depend on another's.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -19,18 +20,20 @@ from wakefold.base import random, small
 from wakefold.base.random import agent_key
 from wakefold.base.units import LOST, Time, timestamp
 from wakefold.evidence.coarse import CoarseClass, Family, coarse_log_g
+from wakefold.evidence.evidence import Evidence, in_order
 from wakefold.evidence.fix import Fix
 from wakefold.filters.belief import Belief
 from wakefold.filters.kernels import particles as kernel
+from wakefold.filters.resampling import SCHEMES, Resampling, pick_strata, resample
 from wakefold.model.kernels import motion
 from wakefold.tracks.shaping import along
 
 if TYPE_CHECKING:
     from wakefold.model.model import Model
 
-Resampling = Literal["systematic", "stratified", "multinomial", "residual"]
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Items = Sequence[tuple[float, Evidence]]
 Kind = TypeVar("Kind", bound=Belief)
 
 START, OPEN, NOISE, COPIES, RECOVER, FORECAST = range(6)  # purposes of random streams
@@ -64,43 +67,8 @@ def _draw(fill, key: NDArray[np.uint64], step: int, purpose: int, shape: tuple[i
     return out
 
 
-def resample(log_weights: Floats, u: Floats, scheme: Resampling) -> Ints:
-    """Indices ``(N,)`` of the particles that survive, in rising order.
-
-    Args:
-        u: uniforms on [0, 1): one for "systematic", N for the others.
-    """
-    count = len(log_weights)
-    if scheme == "residual":  # the whole parts are kept for certain, the rest is multinomial over the fractions
-        weights = small.exp(log_weights - log_weights.max())
-        weights *= count / weights.sum()
-        sure = np.floor(weights + 1e-9).astype(np.int64)  # a weight of 1/N is worth one particle despite rounding
-        rest = count - int(sure.sum())
-        kept = np.repeat(np.arange(count), sure)[:count]
-        if rest <= 0:
-            return kept
-        extra = _pick(small.log(np.maximum(weights - sure, 0.0)), np.sort(u[:rest]))
-        return np.sort(np.concatenate([kept, extra]))
-    if scheme == "multinomial":
-        return _pick(log_weights, np.sort(u))
-    return pick_strata(log_weights, u, count)
-
-
-def _pick(log_weights: Floats, positions: Floats) -> Ints:
-    out = np.empty(len(positions), dtype=np.int64)
-    kernel.pick(log_weights, positions, out)
-    return out
-
-
-def pick_strata(log_weights: Floats, u: Floats, count: int) -> Ints:
-    """Indices ``(count,)``, in rising order, one drawn in each stratum of the cumulated weights."""
-    out = np.empty(count, dtype=np.int64)
-    kernel.pick_strata(log_weights, u, out)
-    return out
-
-
-class ParticleFilter(Generic[Kind]):
-    """Settings, prior, motion, the weight of a fix, recovery and forecast: all but the step.
+class ParticleFilter(ABC, Generic[Kind]):
+    """Settings, prior, motion, the weight of a fix, recovery and forecast: all but what a step does.
 
     Args:
         model: what ``wakefold.learn`` made.
@@ -145,8 +113,8 @@ class ParticleFilter(Generic[Kind]):
             raise ValueError(f"dof must be a positive number, got {dof}")
         if not 0.0 <= depletion <= 1.0:
             raise ValueError(f"depletion must be a share within [0, 1], got {depletion}")
-        if resampling not in ("systematic", "stratified", "multinomial", "residual"):
-            raise ValueError(f"resampling must be systematic, stratified, multinomial or residual, got {resampling!r}")
+        if resampling not in SCHEMES:
+            raise ValueError(f"resampling must be one of {', '.join(SCHEMES)}, got {resampling!r}")
         if ess_threshold is not None and not 0.0 < ess_threshold <= 1.0:
             raise ValueError(f"ess_threshold must be a share of the particles within (0, 1], got {ess_threshold}")
         self.model = model
@@ -175,7 +143,7 @@ class ParticleFilter(Generic[Kind]):
         self.__dict__.update(state)
         self._remember()
 
-    # Prior and forecast
+    # Prior, step and forecast
 
     def start(
         self,
@@ -213,28 +181,53 @@ class ParticleFilter(Generic[Kind]):
         )
         return started
 
+    def step(
+        self,
+        belief: Belief,
+        evidence: Sequence[Evidence] = (),
+        dt: float | None = None,
+        *,
+        time: Time | None = None,
+    ) -> Kind:
+        """The belief after ``dt`` seconds (or at ``time``) and the evidence; no evidence is a missing observation.
+
+        Raises:
+            ValueError, TypeError: evidence that does not fit the model, or a time that runs backwards.
+        """
+        items = in_order(evidence, self.model.filtration)
+        dt, now = elapsed(belief, dt, time)
+        return self._step(belief, items, dt, now)
+
+    @abstractmethod
+    def _step(self, belief: Belief, items: Items, dt: float, now: float | None) -> Kind:
+        """``step`` by evidence in order and its levels, over ``dt`` seconds up to ``now``."""
+
     @overload
     def forecast(self, belief: Belief, horizon: float) -> Kind: ...
     @overload
     def forecast(self, belief: Belief, horizon: Sequence[float]) -> list[Kind]: ...
     def forecast(self, belief: Belief, horizon: float | Sequence[float]) -> Kind | list[Kind]:
-        """The base particles rolled ahead without evidence: a belief about ``horizon`` seconds from now.
+        """The base particles moved ahead without evidence: a belief about ``horizon`` seconds from now.
 
         Several horizons, in rising order, give a list of beliefs along the same sampled paths. The belief it starts
         from, and its random stream, stay as they are.
         """
         one = isinstance(horizon, (int, float))
         horizons = [float(horizon)] if one else [float(h) for h in horizon]
-        belief = self._bare(self._own(belief))
-        points, done, out = belief.points.copy(), 0.0, []
+        now, done, out = self._bare(self._own(belief)), 0.0, []
         for leg, h in enumerate(horizons):
             if not h >= done:
                 raise ValueError(f"horizons must be seconds >= 0 in rising order, got {h} after {done}")
-            self._roll(belief, FORECAST + leg, points, belief.classes, h - done)
+            now = self._ahead(now, leg, h - done)
             done = h
-            time = None if belief.time is None else belief.time + h
-            out.append(replace(belief, points=points.copy(), time=time))
+            out.append(replace(now, time=None if belief.time is None else belief.time + h))
         return out[0] if one else out
+
+    def _ahead(self, belief: Kind, leg: int, dt: float) -> Kind:
+        """One leg of a forecast."""
+        points = belief.points.copy()
+        self._roll(belief, FORECAST + leg, points, belief.classes, dt)
+        return replace(belief, points=points)
 
     def _own(self, belief: Belief) -> Kind:
         """Refuse a belief of another kind of filter, or about other classes, whose numbers mean nothing here.
