@@ -14,7 +14,7 @@ from typing import NoReturn, ParamSpec
 import typer
 
 P = ParamSpec("P")
-FAILED, USAGE, INTERRUPTED, CLOSED = 1, 2, 130, 141  # the last two as shells report SIGINT and SIGPIPE
+FAILED, INTERRUPTED, CLOSED = 1, 130, 141  # the last two as shells report SIGINT and SIGPIPE
 PATIENCE = 2.0  # seconds before a bar is shown
 debug = False
 

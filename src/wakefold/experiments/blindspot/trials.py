@@ -2,7 +2,7 @@
 
 Detections carry no identities. Both filters are the same Rao-Blackwellised particle filter with the same motion,
 sensor, association and number of particles; the plain one knows no relation. Settings were chosen on scenes of other
-seeds (``VALIDATION`` and up). ``wakefold reproduce blindspot`` runs 100 scenes of each sort.
+seeds (10,000 and up). ``wakefold reproduce blindspot`` runs 100 scenes of each sort.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from wakefold.relations.scene import Scene
 
 Floats = NDArray[np.float64]
 NAMES = ("plain", "relational")
-VALIDATION = 10_000  # seeds of scenes that settings are chosen on; the reported scenes have seeds from 0
 PARTICLES = 100
 BIRTH = 1e-5  # new people per square metre and scan: hardly anybody appears while three walk by
 SURE = 0.9  # a track that exists with less probability is nobody's: a false detection makes one too

@@ -32,48 +32,29 @@ FAINT = 0.1  # two ships are not together where it is less probable
 
 
 class Constants(NamedTuple):
-    """Of the filter in phases; q and noise in m/s per square root of a second, rates per second."""
+    """Of the filter in phases, as learned; q and noise in m/s per square root of a second, rates per second."""
 
-    steady: float  # q under way
-    turning: float  # q while manoeuvring
-    resting: float  # q at rest
-    fading: float  # drag at rest
-    drifting: float  # q of the two together
-    k: float  # how soon they take on one velocity
-    noise: float  # of the difference of their velocities, together
-    turn: float  # rate of beginning to manoeuvre
-    settle: float  # rate of ending it
-    rest: float  # rate of coming to rest
-    slow_alone: float  # speed at which ships come to rest
-    wake: float  # rate of leaving it
-    meet: float  # rate of coming together
-    near: float
-    slow: float
-    part: float  # rate of parting
-    turning_first: float  # share of scenes that begin with a manoeuvre
-    resting_first: float
+    steady: float = 0.0112  # q under way
+    turning: float = 0.18  # q while manoeuvring
+    resting: float = 0.00224  # q at rest
+    fading: float = 0.000853  # drag at rest
+    drifting: float = 0.00165  # q of the two together
+    k: float = 0.0908  # how soon they take on one velocity
+    noise: float = 0.00425  # of the difference of their velocities, together
+    turn: float = 2.25e-05  # rate of beginning to manoeuvre
+    settle: float = 0.00251  # rate of ending it
+    rest: float = 0.00594  # rate of coming to rest
+    slow_alone: float = 0.136  # speed at which ships come to rest
+    wake: float = 0.000426  # rate of leaving it
+    meet: float = 0.0107  # rate of coming together
+    near: float = 85.4
+    slow: float = 1.74
+    part: float = 0.000659  # rate of parting
+    turning_first: float = 0.4  # share of scenes that begin with a manoeuvre
+    resting_first: float = 0.00165
 
 
-LEARNED = Constants(
-    steady=0.0112,
-    turning=0.18,
-    resting=0.00224,
-    fading=0.000853,
-    drifting=0.00165,
-    k=0.0908,
-    noise=0.00425,
-    turn=2.25e-05,
-    settle=0.00251,
-    rest=0.00594,
-    slow_alone=0.136,
-    wake=0.000426,
-    meet=0.0107,
-    near=85.4,
-    slow=1.74,
-    part=0.000659,
-    turning_first=0.4,
-    resting_first=0.00165,
-)
+LEARNED = Constants()
 STAGES = 5  # of "together"
 
 

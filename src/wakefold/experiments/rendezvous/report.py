@@ -15,6 +15,7 @@ from wakefold.experiments.registry import Claim, Picture, Section, Table
 from wakefold.experiments.rendezvous.relational import MET, meeting, phases
 from wakefold.experiments.rendezvous.scenes import DT, HARD, KINDS, TOGETHER, Scenes, scenes
 from wakefold.experiments.rendezvous.trials import COLLAPSED, EVEN, JUDGED, MODELS, OURS, TAUGHT, THEIRS
+from wakefold.experiments.stats import half_width
 from wakefold.plot.canvas import INK, PALETTE
 
 SD = 200.0  # metres, of the scenes shown
@@ -70,11 +71,8 @@ def _differences(by: Mapping[str, list[dict[str, Any]]]) -> list[list[str]]:
 
 
 def paired(differences: list[float]) -> tuple[float, float, float]:
-    """Mean of independent differences and its 95 % interval (Student)."""
-    from scipy.stats import t
-
-    mean = float(np.mean(differences))
-    half = float(t.ppf(0.975, len(differences) - 1) * np.std(differences, ddof=1) / np.sqrt(len(differences)))
+    """Mean of independent differences and its 95 % interval."""
+    mean, half = float(np.mean(differences)), half_width(differences)
     return mean, mean - half, mean + half
 
 

@@ -18,7 +18,6 @@ from wakefold.experiments.walking.recalibration import Correction
 from wakefold.plot.canvas import INK, PALETTE
 
 BARS = {"eth": 0.72, "hotel": 0.85, "zara01": 0.90, "students03": 0.86}  # pairwise F1 aimed at
-MOMENT = 30.0  # seconds shown before the moment of the picture
 
 
 def section(title: str, results: list[dict[str, Any]], folder: Path) -> Section:
