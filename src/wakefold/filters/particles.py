@@ -140,7 +140,7 @@ class ParticleFilter(ABC, Generic[Kind]):
         return {name: value for name, value in self.__dict__.items() if not hasattr(value, "cache_info")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
+        vars(self).update(state)
         self._remember()
 
     # Prior, step and forecast
