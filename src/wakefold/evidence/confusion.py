@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from wakefold.base import small
+from wakefold.base.types import Floats, Ints
 from wakefold.evidence.kernels import shares_near
 from wakefold.model.deviation import Deviation
 from wakefold.tracks.shaping import along
@@ -19,8 +19,6 @@ from wakefold.tracks.shaping import along
 if TYPE_CHECKING:
     from wakefold.model.model import Model
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Reporter = Callable[[Floats, np.random.Generator], Ints]
 """Classes ``(n,)`` that somebody would report of agents at positions ``(n, d)``, with the reporter's own errors."""
 

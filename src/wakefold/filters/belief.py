@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from wakefold.base import small, store
 from wakefold.base.remember import Remembers
+from wakefold.base.types import Floats, Ints
 from wakefold.filters.levels import LevelTable
 
 if TYPE_CHECKING:
@@ -22,8 +23,6 @@ if TYPE_CHECKING:
 
 Estimate = Literal["base", "stack"]
 KIND = "belief"
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,9 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.cluster.vq import kmeans2
 
 from wakefold.base import small
+from wakefold.base.types import Floats
 from wakefold.filters.kernels import hmm as kernel
-
-Floats = NDArray[np.float64]
 
 
 class StateBelief(NamedTuple):

@@ -6,14 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
+from wakefold.base.types import Floats, Ints
 
 if TYPE_CHECKING:
     from wakefold.model.filtration import Filtration
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class LevelRow(NamedTuple):

@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wakefold.base import small
+from wakefold.base.types import Floats, Ints
 from wakefold.filters.kernels import particles as kernel
 
 Resampling = Literal["systematic", "stratified", "multinomial", "residual"]
 SCHEMES: tuple[str, ...] = get_args(Resampling)
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def resample(log_weights: Floats, u: Floats, scheme: Resampling) -> Ints:

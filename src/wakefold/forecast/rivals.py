@@ -6,13 +6,11 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wakefold.base.types import Floats
 from wakefold.evidence.fix import Fix
 from wakefold.forecast.scores import HEADING, Method, Question
 from wakefold.tracks.tracks import Tracks
-
-Floats = NDArray[np.float64]
 
 
 def particle(filter: Any, sd: float) -> Method:

@@ -11,12 +11,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wakefold.base.parallel import thread_map
+from wakefold.base.types import Floats
 from wakefold.tracks.tracks import Tracks
 
-Floats = NDArray[np.float64]
 EVERY = 120.0  # seconds between fixes at least
 HORIZONS = (300.0, 900.0)
 HEADING = np.cos(np.radians(45.0))  # the nearest track must go about the same way

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wakefold.base.types import Floats
 from wakefold.tracks.projection import Projection
 
-Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 THREADS = 2

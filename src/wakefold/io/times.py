@@ -18,11 +18,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv
-from numpy.typing import NDArray
 
+from wakefold.base.types import Floats
 from wakefold.io.records import as_text
-
-Floats = NDArray[np.float64]
 
 PER_SECOND = {"s": 1, "ms": 1000, "us": 10**6, "ns": 10**9}
 """Units of numeric times."""

@@ -19,15 +19,15 @@ from numpy.typing import ArrayLike, NDArray
 from wakefold.base import store
 from wakefold.base.parallel import Executor
 from wakefold.base.remember import Remembers
+from wakefold.base.types import Floats, Ints
 from wakefold.base.wording import near_miss
 from wakefold.model.linkage import dendrogram
 from wakefold.model.linkage.distance import frechet_matrix
 from wakefold.model.linkage.growth import grown_tree
 from wakefold.model.linkage.search import TrackIndex, medoid
 from wakefold.model.linkage.spanning import spanning_tree
-from wakefold.tracks.tracks import Floats, Tracks
+from wakefold.tracks.tracks import Tracks
 
-Ints = NDArray[np.int64]
 Linkage = Literal["single", "complete"]
 KIND = "filtration"
 

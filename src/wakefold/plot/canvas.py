@@ -15,15 +15,15 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from wakefold.base import wording
+from wakefold.base.types import Floats
 from wakefold.base.wording import number_text
 from wakefold.tracks.projection import Projection
 from wakefold.tracks.tracks import Tracks
 
 P = ParamSpec("P")
-Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]  # x0, y0, x1, y1, metres
 
 INK, PALE, BACKDROP = "#22303c", "#9aa5ad", "#e3e7ea"

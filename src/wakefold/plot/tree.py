@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
+from wakefold.base.types import Floats
 from wakefold.model.filtration import Filtration
 from wakefold.plot.canvas import (
     INK,
@@ -30,8 +31,6 @@ from wakefold.plot.canvas import (
 )
 from wakefold.tracks.projection import Projection
 from wakefold.tracks.tracks import Tracks
-
-Floats = NDArray[np.float64]
 
 
 def dendrogram(

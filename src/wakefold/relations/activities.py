@@ -10,12 +10,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wakefold.base.types import Floats
 from wakefold.relations.kernels import stages as kernel
 from wakefold.relations.model import Activity
 
-Floats = NDArray[np.float64]
 PARTS = 32  # of the least time: it is measured to 1 / sqrt(32) of itself or better
 BEFORE, DONE, AFTER = 0, PARTS + 1, PARTS + 2
 STAGES = PARTS + 3

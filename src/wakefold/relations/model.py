@@ -11,8 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wakefold.base.types import Floats
 from wakefold.relations.predicates import Predicate, ahead, closing, near, number, same_velocity, seen, slow
 
 __all__ = [  # noqa: RUF022 (by subject)
@@ -33,8 +34,6 @@ __all__ = [  # noqa: RUF022 (by subject)
     "Sampler",
     "RelationalModel",
 ]
-
-Floats = NDArray[np.float64]
 
 
 def _check(ok: bool, message: str) -> None:

@@ -5,12 +5,10 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wakefold.base import small
+from wakefold.base.types import Floats
 from wakefold.relations.model import Coupling
-
-Floats = NDArray[np.float64]
 
 
 def transition(drag: Floats, pull: Floats, diffusion: Floats, dt: float) -> tuple[Floats, Floats]:

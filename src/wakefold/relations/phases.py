@@ -18,11 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wakefold.base import small
+from wakefold.base.types import Floats
 from wakefold.relations.kernels import phases as kernel
 from wakefold.relations.model import Coupling
 from wakefold.relations.motion import group, transition
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

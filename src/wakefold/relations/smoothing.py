@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from wakefold.base.types import Floats
 from wakefold.relations.kernels import kalman
-
-Floats = NDArray[np.float64]
 
 
 class Smoothed(NamedTuple):

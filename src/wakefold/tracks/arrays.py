@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from wakefold.base.types import Floats
 from wakefold.tracks import ragged
 from wakefold.tracks.projection import Projection
 
-Floats = NDArray[np.float64]
 MOST_AXES = 16  # kernels unroll the loops over coordinates: more take long to compile
 
 

@@ -11,11 +11,8 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
+from wakefold.base.types import Bools, Floats, Ints
 
 _MOST_POINTS = 1_000_000_000  # a resampling that would make more points than this is a mistake in the data or units
 

@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wakefold.base.types import Floats, Ints
 from wakefold.base.units import Duration, Length, Time, metres, seconds, timestamp
 from wakefold.base.wording import counted
 from wakefold.tracks import ragged
@@ -16,8 +17,6 @@ from wakefold.tracks.arrays import TrackArrays
 from wakefold.tracks.projection import Projection
 
 T = TypeVar("T", bound=TrackArrays)
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def select(tracks: T, chosen: ArrayLike) -> T:

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wakefold.base import store
+from wakefold.base.types import Floats
 from wakefold.tracks import shaping
-from wakefold.tracks.arrays import Floats, TrackArrays
+from wakefold.tracks.arrays import TrackArrays
 from wakefold.tracks.projection import Projection
 from wakefold.tracks.thumbnail import sketch
 

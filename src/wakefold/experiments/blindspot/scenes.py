@@ -16,9 +16,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from wakefold.base.types import Floats
 
 SCENES = ("pair pauses", "third is faster", "order kept", "pair really splits")
 BLIND = (8.0, 14.0)  # m along the corridor

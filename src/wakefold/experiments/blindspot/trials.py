@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from wakefold.base.types import Floats
 from wakefold.experiments.blindspot.scenes import BLIND, CLUTTER, DT, SD, Walk, visible, walk
 from wakefold.relations.detections import Detections
 from wakefold.relations.filter import RelationalFilter
 from wakefold.relations.model import ConstantVelocity, Relation, RelationalModel, couple_velocity, near, same_velocity
 from wakefold.relations.scene import Scene
 
-Floats = NDArray[np.float64]
 NAMES = ("plain", "relational")
 PARTICLES = 100
 BIRTH = 1e-5  # new people per square metre and scan: hardly anybody appears while three walk by

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wakefold.base.types import Floats
 from wakefold.tracks.tracks import Tracks
 
 __all__ = [
@@ -26,7 +27,6 @@ __all__ = [
     "walks",
 ]
 
-Floats = NDArray[np.float64]
 SPACING = 0.02  # of the points of the first three sets
 # Centre x, y and radius of the obstacles of the configuration space.
 OBSTACLES = np.array(

@@ -9,9 +9,9 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from wakefold import plot
+from wakefold.base.types import Floats
 from wakefold.experiments.mhpf.scenarios import Setting
 from wakefold.experiments.mhpf.simulate import Method, Scores, job, scores
 from wakefold.experiments.registry import Claim, Job, Picture, Size, Table
@@ -27,7 +27,6 @@ from wakefold.experiments.stats import (
 )
 from wakefold.plot.canvas import styled
 
-Floats = NDArray[np.float64]
 Found = Mapping[tuple[Setting, Method], Scores]
 HOLDS, DEPENDS, FAILS = "holds", "depends on open choices", "does not hold"
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from wakefold.base.remember import Remembers
+from wakefold.base.types import Floats
 from wakefold.evidence.confusion import Reporter
 from wakefold.evidence.kernels import name_classes
 from wakefold.experiments.mhpf import datasets
@@ -25,7 +26,6 @@ from wakefold.model.filtration import Filtration
 from wakefold.model.model import Model
 from wakefold.tracks.tracks import Tracks
 
-Floats = NDArray[np.float64]
 SAMPLES = 10  # that a coarse report is made from
 NEAREST = 64  # points looked at around each of them
 

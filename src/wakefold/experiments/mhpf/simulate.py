@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from wakefold.base.types import Floats
 from wakefold.evidence.coarse import CoarseClass
 from wakefold.evidence.confusion import Confusion
 from wakefold.evidence.evidence import Evidence
@@ -23,7 +24,6 @@ from wakefold.filters.mhpf import MHPF
 from wakefold.model.deviation import Deviation
 from wakefold.model.model import Model
 
-Floats = NDArray[np.float64]
 NEAR = 0.33  # of the range of tree distances: the ball to come within
 LAST = 5  # distances that are averaged before they are compared with it
 

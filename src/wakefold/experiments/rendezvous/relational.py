@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wakefold.base.types import Floats
 from wakefold.experiments.rendezvous.rivals import SPEED, received
 from wakefold.experiments.rendezvous.scenes import DT, STEPS, Scenes
 from wakefold.relations.detections import Detections
@@ -25,7 +25,6 @@ from wakefold.relations.model import (
 )
 from wakefold.relations.phases import Phase, PhaseFilter, Turn
 
-Floats = NDArray[np.float64]
 MET = ("together", "leaving", "gone")
 FAR = 300_000.0  # metres between scenes that one filter follows side by side
 FAINT = 0.1  # two ships are not together where it is less probable

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from wakefold.base.types import Floats
 from wakefold.experiments.rendezvous.scenes import DT, STEPS, TOGETHER, Scenes
 from wakefold.filters.hmm import GaussianHMM
 from wakefold.relations.smoothing import constant_velocity
 
-Floats = NDArray[np.float64]
 TIMES = np.arange(STEPS) * DT
 SPEED = 5.0  # m/s per axis, of ships at sea
 

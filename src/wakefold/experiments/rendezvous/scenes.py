@@ -22,7 +22,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from wakefold.base.types import Floats
 
 DT, STEPS = 60.0, 150  # seconds, and how many of them
 EASY = ("crossing", "overtaking", "lane following")

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from wakefold.base.types import Floats
 from wakefold.experiments.rendezvous.relational import phases, together
 from wakefold.experiments.rendezvous.rivals import (
     Motion,
@@ -35,7 +36,6 @@ from wakefold.experiments.rendezvous.rivals import (
 )
 from wakefold.experiments.rendezvous.scenes import EASY, HARD, Scenes, scenes
 
-Floats = NDArray[np.float64]
 TAUGHT, JUDGED = 60, 100  # scenes of a split
 CONDITIONS: dict[str, tuple[tuple[str, ...], float, float]] = {  # negatives, noise in metres, share missing
     "hard 0.2": (HARD, 200.0, 0.0),

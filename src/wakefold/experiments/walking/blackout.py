@@ -8,8 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from wakefold.base.types import Floats, Ints
 
 NOISE, OFFSET_NOISE = 0.15, 0.1  # metres: of a return, and of the offset of two
 SPREAD = 0.4  # sd of the log spacing of two who have changed sides

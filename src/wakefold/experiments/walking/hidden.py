@@ -8,11 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from wakefold.base.types import Bools, Floats, Ints
 from wakefold.relations.learning.walkers import Together, Walkers
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 LAG = 2  # frames: people do what their partner did
 

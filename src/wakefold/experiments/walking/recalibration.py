@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from wakefold.relations.learning.logistic import Bools, Floats, log_odds, logistic, probability
+from wakefold.base.types import Bools, Floats
+from wakefold.relations.learning.logistic import log_odds, logistic, probability
 from wakefold.relations.learning.walkers import Together
 
 MOMENTS = np.unique(np.rint(5 * 1.35 ** np.arange(20)).astype(np.int64))  # frames at which beliefs over time are judged

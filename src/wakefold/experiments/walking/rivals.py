@@ -9,14 +9,11 @@ from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
+from wakefold.base.types import Bools, Floats
 from wakefold.relations.learning.logistic import logistic
 from wakefold.relations.learning.together import Crowd
 from wakefold.relations.learning.walkers import Walkers, steps
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 DISTANCES = (0.8, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0, 2.3, 2.6, 3.0)  # metres
 DIFFERENCES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.8)  # m/s

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from wakefold.base.types import Bools, Floats
 from wakefold.experiments.walking.blackout import Window, learn_reunion, reunite
 from wakefold.experiments.walking.hidden import Beside, Company, Told, accompanied, equations, hide, places, solve, told
 from wakefold.experiments.walking.pedestrians import FRAME, SCENES, PedestrianScene, read_scenes
@@ -32,9 +33,6 @@ COUNTS = (1.0, 2.0), (4.0, 6.0)  # lift and power with which partners count
 NOBODY = Company(np.zeros((12, 16)), 0.0, 2.0)  # tells nothing: constant velocity
 DARK = 20  # frames: 8 s
 RESAMPLES = 1000
-
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 
 class Known(NamedTuple):

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from wakefold.io.records import Floats
+from wakefold.base.types import Floats
 
 POINT_BYTES = 21
 """Byte order, type and two coordinates in well-known binary; z and m follow after."""

@@ -11,10 +11,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from wakefold.base.types import Floats
 from wakefold.io import times
 from wakefold.io.formats import delimited, geoparquet
 from wakefold.io.formats.delimited import plain
-from wakefold.io.records import Floats, Rows, as_text, is_text, to_numbers
+from wakefold.io.records import Rows, as_text, is_text, to_numbers
 from wakefold.io.report import ReadError, Tally, listed
 from wakefold.io.source import Source
 

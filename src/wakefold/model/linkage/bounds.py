@@ -11,13 +11,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wakefold.base.parallel import thread_map
-from wakefold.tracks.tracks import Floats, Tracks
-
-Ints = NDArray[np.int64]
-Singles = NDArray[np.float32]
+from wakefold.base.types import Floats, Ints, Singles
+from wakefold.tracks.tracks import Tracks
 
 LEAF = 8  # tracks in a box that is not divided further, at most; a vector holds one feature of all of them
 LANDMARKS = 8  # of 4, 8 and 16 landmarks with 4 or 8 directions, 8 with 4 cost least on crowds, routes and hubs

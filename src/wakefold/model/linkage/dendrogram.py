@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wakefold.base import small
-
-Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
+from wakefold.base.types import Floats, Ints
 
 
 def leaf_order(edges: Ints, heights: Floats) -> tuple[Ints, Floats]:

@@ -6,13 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wakefold.base.parallel import thread_map
+from wakefold.base.types import Floats, Ints
 from wakefold.model.linkage.bounds import Boxes, boxes_of, in_lanes
 from wakefold.model.linkage.dendrogram import range_maxima
 from wakefold.model.linkage.search import TrackIndex
 from wakefold.model.linkage.spanning import grown_forest
-from wakefold.tracks.tracks import Floats, Tracks
-
-Ints = NDArray[np.int64]
+from wakefold.tracks.tracks import Tracks
 
 PIECE = 64  # new tracks that search in one piece of work
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from wakefold.base.remember import Remembers
+from wakefold.base.types import Floats, Ints, Singles
 from wakefold.model.linkage.bounds import MARGIN, boxes_of, extent, features_of, frame_of, in_lanes
 from wakefold.model.linkage.distance import distances_from, frechet_matrix
-from wakefold.tracks.tracks import Floats, Tracks
-
-Ints = NDArray[np.int64]
-Singles = NDArray[np.float32]
+from wakefold.tracks.tracks import Tracks
 
 FAR = 2.0**40  # units of the features: further away, a feature is taken to be here, which only lowers the bound
 

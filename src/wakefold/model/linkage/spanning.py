@@ -22,14 +22,13 @@ from numpy.typing import NDArray
 
 from wakefold.base import store
 from wakefold.base.parallel import Executor, Progress, Threads
+from wakefold.base.types import Floats, Ints, Singles
 from wakefold.model.linkage.bounds import MARGIN, Boxes
 from wakefold.model.linkage.dendrogram import largest_between, range_maxima
 from wakefold.model.linkage.distance import in_units
 from wakefold.model.linkage.search import TrackIndex
-from wakefold.tracks.tracks import Floats, Tracks
+from wakefold.tracks.tracks import Tracks
 
-Ints = NDArray[np.int64]
-Singles = NDArray[np.float32]
 Directory = str | os.PathLike[str]
 KIND = "spanning forest"
 

@@ -7,20 +7,18 @@ import math
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from wakefold.base import small
+from wakefold.base.types import Floats, Ints
 from wakefold.relations.detections import Detections
 
 if TYPE_CHECKING:
     from wakefold.relations.engines.objects import Objects
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 GATE = 5.0  # sd: detections farther from an object are not its
 TINY = 1e-12  # in place of a density or probability of zero that is divided by

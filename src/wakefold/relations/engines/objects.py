@@ -7,12 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from wakefold.base.types import Floats, Ints
 from wakefold.relations.detections import Detections
 from wakefold.relations.model import RelationalModel
 from wakefold.relations.scene import Scene
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 GONE = 0.01  # an object is let go when it exists with less than this probability
 
 

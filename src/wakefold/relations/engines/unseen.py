@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
+from wakefold.base.types import Floats, Ints
 from wakefold.relations.detections import Detections
 from wakefold.relations.engines.association import TINY
 from wakefold.relations.scene import Particles
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Middles of seven parts of equal probability of a normal law, scaled to variance 1: where detect_prob is asked.
 _PARTS = ndtri((np.arange(7) + 0.5) / 7)

@@ -12,10 +12,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 from scipy.special import ndtr
 
+from wakefold.base.types import Floats, Ints
 from wakefold.base.units import HOUR, KNOT
 from wakefold.relations.activities import taken_place
 from wakefold.relations.detections import Detections
@@ -32,9 +33,6 @@ from wakefold.relations.model import (
     slow,
 )
 from wakefold.tracks.tracks import Tracks
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 KINDS = ("rendezvous", "encounter", "convoy", "loitering", "port visit")
 BETWEEN_SD = 20.0  # metres, of places in straight lines between fixes; more than the fixes' own, ``stops.FIX_SD``

@@ -15,12 +15,10 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
+from wakefold.base.types import Floats, Ints
 from wakefold.base.units import HOUR
 from wakefold.relations.smoothing import constant_velocity
 from wakefold.tracks.tracks import Tracks
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 FIX_SD, Q = 15.0, 0.005  # metres of a position by satellite, as received; m²/s³ of a ship under way
 STILL = 0.5  # m/s: who is slower lies still

@@ -4,11 +4,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wakefold.base.compile import inner, kernel
-
-Floats = NDArray[np.float64]
+from wakefold.base.types import Floats
 
 
 class Looks(NamedTuple):

@@ -8,9 +8,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wakefold.base.compile import inner, kernel
+from wakefold.base.types import Bools, Floats, Ints
 from wakefold.relations.kernels.histories import MOST, WIDTH, absorb, copy, reduce
 from wakefold.relations.kernels.looks import log_ratio
 from wakefold.relations.kernels.predicates import AT_ONCE, FEATURES, evaluate
@@ -21,10 +21,6 @@ SURE = 1e-5  # a mode less probable is let go, if more than that can come back i
 # Of a Gaussian being stepped, after the FEATURES that ``evaluate`` reads: covariance of position and velocity, half the
 # squared innovation over its variance, one over that variance, probability, and chance to switch.
 CROSS, MISFIT, PRECISION, WEIGHT, TURN = range(FEATURES, FEATURES + 5)
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 
 class Held(NamedTuple):

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wakefold.base import small
+from wakefold.base.types import Bools, Floats
 
-Floats = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 ROUNDS, SLOPE = 100, 1e-6  # at which a regression ends: so many steps, or a loss so level
 
 

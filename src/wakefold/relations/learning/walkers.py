@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wakefold.base import small
+from wakefold.base.types import Floats, Ints
 from wakefold.relations.smoothing import constant_velocity
 from wakefold.tracks.ragged import ragged_rows
 from wakefold.tracks.tracks import Tracks
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 SPACING = small.log([0.4, 0.6, 0.8, 1.1, 1.5, 2.0, 2.8, 4.0, 6.0])  # knots, log metres
 DIFFERENCE = small.log([0.05, 0.1, 0.2, 0.4, 0.7, 1.2, 2.0])  # knots of the difference of velocities, log m/s
