@@ -15,9 +15,10 @@ import numpy as np
 from scipy.optimize import minimize
 
 from wakefold.experiments.rendezvous.relational import LEARNED, Constants, meeting, phases
-from wakefold.experiments.rendezvous.rivals import f1, kalman, position_error
+from wakefold.experiments.rendezvous.rivals import kalman, position_error
 from wakefold.experiments.rendezvous.scenes import HARD, scenes
 from wakefold.experiments.rendezvous.trials import Q
+from wakefold.experiments.stats import f1
 
 SEED, SD, SHARES, SCENES, POSITION = 20111, 200.0, (0.0, 0.6), 300, 0.1
 SOME = [scenes(SCENES, HARD, SD, np.random.default_rng([SEED, k]), missing=m) for k, m in enumerate(SHARES)]

@@ -14,7 +14,6 @@ import numpy as np
 from wakefold.experiments.rendezvous.rivals import (
     States,
     decoded,
-    f1,
     features,
     kalman,
     phased,
@@ -23,6 +22,7 @@ from wakefold.experiments.rendezvous.rivals import (
     two_class,
 )
 from wakefold.experiments.rendezvous.scenes import HARD, scenes
+from wakefold.experiments.stats import f1
 
 SEED, SD, FOLDS = 20111, 200.0, 2
 QS = (0.0005, 0.002, 0.005)

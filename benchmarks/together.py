@@ -17,9 +17,9 @@ from time import process_time
 import numpy as np
 
 import wakefold as wf
+from wakefold.experiments.stats import f1
 from wakefold.experiments.walking import trials as walking
 from wakefold.experiments.walking.pedestrians import FRAME
-from wakefold.experiments.walking.rivals import f1
 from wakefold.relations.learning.together import fit
 from wakefold.relations.model import couple_velocity, near, same_velocity
 

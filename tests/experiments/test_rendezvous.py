@@ -10,13 +10,13 @@ from wakefold.experiments.rendezvous.rivals import (
     Motion,
     Nearness,
     Rule,
-    f1,
     kalman,
     near_and_slow,
     position_error,
     threshold,
 )
 from wakefold.experiments.rendezvous.scenes import DT, HARD, STEPS, scenes
+from wakefold.experiments.stats import f1
 
 
 @pytest.mark.parametrize("seed", range(5))

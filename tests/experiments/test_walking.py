@@ -7,13 +7,14 @@ import pytest
 from people import DT, ready, scene
 
 from wakefold.experiments.registry import QUICK
+from wakefold.experiments.stats import f1
 from wakefold.experiments.walking import experiment
 from wakefold.experiments.walking import kernels as kernel
 from wakefold.experiments.walking import trials as walking
 from wakefold.experiments.walking.blackout import Reunion, Window, learn_reunion, reunite
 from wakefold.experiments.walking.hidden import beside, hide, learn_company
 from wakefold.experiments.walking.recalibration import Correction, learn_soon, learn_surer
-from wakefold.experiments.walking.rivals import Logistic, Rule, f1, features
+from wakefold.experiments.walking.rivals import Logistic, Rule, features
 from wakefold.relations.learning.together import crowd, fit
 from wakefold.relations.learning.walkers import (
     DIFFERENCE,

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from made import bundles
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
@@ -20,25 +21,13 @@ Q, SD, RATE = 0.3, 0.5, 0.2
 VELOCITIES = np.array([[1.0, 0.0], [0.6, 0.8]])
 
 
-def some_tracks(seed=0, count=9, dim=2):
-    """Wiggly tracks in a few bundles, of 1 to 9 points; two are equal."""
-    rng = np.random.default_rng(seed)
-    tracks = []
-    for i in range(count):
-        n = 1 if i == 3 else int(rng.integers(2, 10))
-        start = rng.normal(size=dim) * 3 + 10 * (i % 3)
-        tracks.append(start + np.cumsum(rng.normal(0.8, 0.5, size=(n, dim)), axis=0))
-    tracks[1] = tracks[0].copy()
-    return wf.Tracks.from_arrays(tracks)
-
-
 def beside(model, spread=0.8, ratios=(1.0,)):
     return wf.Deviation(np.full(len(model.tracks), spread), np.array(ratios), RATE, Q)
 
 
 @pytest.fixture(scope="module")
 def model():
-    return wf.learn(some_tracks(), sd=1.5)
+    return wf.learn(bundles(), sd=1.5)
 
 
 # The definition
@@ -75,7 +64,7 @@ def naive_correct(component, fix, sd):
 
 @pytest.mark.parametrize("dim", [1, 2, 3, 5])
 def test_a_step_is_the_naive_step(dim):
-    model = wf.learn(some_tracks(dim, dim=dim), sd=1.5)
+    model = wf.learn(bundles(dim, dim=dim), sd=1.5)
     deviation, tree = beside(model, ratios=(0.5, 1.0, 2.0)), model.filtration
     f = wf.Calibrated(model, 30, deviation=deviation, reliability=None, switching=0.05)
     belief = f.start(at="begin")
@@ -259,7 +248,7 @@ def test_start_from_a_fix_keeps_every_tracks_exact_mass(model):
 
 @pytest.mark.parametrize("seed", range(6))
 def test_masses_are_consistent_and_no_class_dies(seed):
-    model = wf.learn(some_tracks(seed), sd=1.0)
+    model = wf.learn(bundles(seed), sd=1.0)
     tree, rng = model.filtration, np.random.default_rng(seed)
     f = wf.Calibrated(model, 40, seed=seed)
     belief = f.start(agent="a")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from made import bundles
 
 import wakefold as wf
 from wakefold.base import random
@@ -18,22 +19,9 @@ from wakefold.filters.particles import COPIES, NOISE, OPEN
 from wakefold.filters.resampling import resample
 
 
-def some_tracks(seed=0, count=9, dim=2, duplicate=True):
-    """Wiggly tracks in a few bundles, of 1 to 9 points; two are equal when there are several."""
-    rng = np.random.default_rng(seed)
-    tracks = []
-    for i in range(count):
-        n = 1 if i == 3 else int(rng.integers(2, 10))
-        start = rng.normal(size=dim) * 3 + 10 * (i % 3)
-        tracks.append(start + np.cumsum(rng.normal(0.8, 0.5, size=(n, dim)), axis=0))
-    if duplicate and count > 1:
-        tracks[1] = tracks[0].copy()
-    return wf.Tracks.from_arrays(tracks)
-
-
 @pytest.fixture(scope="module")
 def model():
-    return wf.learn(some_tracks(), scale=0.4, sd=1.5)
+    return wf.learn(bundles(), scale=0.4, sd=1.5)
 
 
 def naive_field(model):
@@ -72,7 +60,7 @@ def naive_draws(f, belief, h, stack):
 @pytest.mark.parametrize("rule", ["arxiv2016", "gsi2017"])
 @pytest.mark.parametrize("family", ["log", "gaussian", "student"])
 def test_a_step_is_the_naive_step_with_the_same_draws(rule, family, dim):
-    model = wf.learn(some_tracks(seed=dim, dim=dim), scale=0.4, sd=1.5)
+    model = wf.learn(bundles(seed=dim, dim=dim), scale=0.4, sd=1.5)
     tree, diagonal = model.filtration, model.dynamics.diagonal
     for levels in ("all", [float(tree.birth[tree.root]) * 0.6]):
         f = wf.MHPF(model, 40, rule=rule, likelihood=family, levels=levels, depletion=0.1, seed=3)
@@ -195,7 +183,7 @@ def test_bl2_is_one_class_and_ignores_coarse_evidence(model):
 
 @given(seed=st.integers(0, 10_000), rule=st.sampled_from(["arxiv2016", "gsi2017"]), steps=st.integers(1, 5))
 def test_masses_are_consistent_at_every_step_and_level(seed, rule, steps):
-    model = wf.learn(some_tracks(seed % 7), scale=0.5, sd=1.0)
+    model = wf.learn(bundles(seed % 7), scale=0.5, sd=1.0)
     tree = model.filtration
     rng = np.random.default_rng(seed)
     f = wf.MHPF(model, 50, rule=rule, levels=3, depletion=0.1, seed=seed)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import on_a_grid, same_place, two_hubs, walks
 
 from wakefold.model.filtration import Filtration
 from wakefold.tracks.tracks import Tracks
@@ -30,27 +31,9 @@ def test_many_ties_and_duplicates(data):
     same_as_fitting_all(*(data.draw(st.lists(track, min_size=1, max_size=size)) for size in (20, 12)))
 
 
-def walks(rng, count, dim):
-    return [rng.normal(0, 20, dim) + np.cumsum(rng.normal(0, 1, (n, dim)), axis=0) for n in rng.integers(1, 40, count)]
-
-
-def two_hubs(rng, count, dim):
-    at = np.linspace(0, 1, 15)[:, None]
-    bends = [np.sin(k * np.pi * at) * rng.normal(0, 40, (count, 1, dim)) for k in (1, 2)]
-    return list(at * 1000 + bends[0] + bends[1])
-
-
-def on_a_grid(rng, count, dim):
-    return [rng.integers(0, 5, (n, dim)).astype(float) for n in rng.integers(1, 5, count)]
-
-
 def duplicates(rng, count, dim):
     few = walks(np.random.default_rng(0), 4, dim)
     return [few[k] for k in rng.integers(0, 4, count)]
-
-
-def same_place(rng, count, dim):
-    return [np.full((n, dim), 7.25) for n in rng.integers(1, 4, count)]
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3])

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from made import walks
 
 from wakefold.model.filtration import Filtration
 from wakefold.model.linkage import bounds as features
@@ -23,10 +24,6 @@ def tracks_and_query(draw):
 
     stored = draw(st.lists(track(st.integers(0, 4)), min_size=1, max_size=30))
     return stored, draw(track(st.integers(-9, 9)))
-
-
-def walks(rng, count, dim=2):
-    return [rng.normal(0, 20, dim) + np.cumsum(rng.normal(0, 1, (n, dim)), axis=0) for n in rng.integers(1, 40, count)]
 
 
 def by_measuring_all(track, tracks, within=np.inf, k=None):

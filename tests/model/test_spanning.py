@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from made import on_a_grid, same_place, two_hubs, walks
 
 from wakefold.base import store
 from wakefold.base.parallel import Threads
@@ -19,13 +20,6 @@ from wakefold.model.linkage.dendrogram import leaf_order
 from wakefold.model.linkage.distance import frechet_matrix
 from wakefold.model.linkage.spanning import spanning_tree
 from wakefold.tracks.tracks import Tracks
-
-
-def walks(rng, count, dim, longest):
-    return [
-        rng.normal(0, 20, dim) + np.cumsum(rng.normal(0, 1, (n, dim)), axis=0)
-        for n in rng.integers(1, longest + 1, count)
-    ]
 
 
 def equal_lengths(rng, count, dim):
@@ -40,17 +34,6 @@ def clusters(rng, count, dim):
         (1 - at) * (route := routes[rng.integers(4)])[0] + at * route[1] + rng.normal(0, 2, (9, dim))
         for _ in range(count)
     ]
-
-
-def two_hubs(rng, count, dim):
-    """All begin at one place and end at another: end points tell nothing."""
-    at = np.linspace(0, 1, 15)[:, None]
-    bends = [np.sin(k * np.pi * at) * rng.normal(0, 40, (count, 1, dim)) for k in (1, 2)]
-    return list(at * 1000 + bends[0] + bends[1])
-
-
-def on_a_grid(rng, count, dim):
-    return [rng.integers(0, 5, (n, dim)).astype(float) for n in rng.integers(1, 5, count)]
 
 
 def duplicates(rng, count, dim):
@@ -68,10 +51,6 @@ def points(rng, count, dim):
 
 def mixed_lengths(rng, count, dim):
     return [np.cumsum(rng.normal(size=(n, dim)), axis=0) for n in rng.choice([1, 2, 5, 150], count)]
-
-
-def same_place(rng, count, dim):
-    return [np.full((n, dim), 7.25) for n in rng.integers(1, 4, count)]
 
 
 KINDS = [equal_lengths, clusters, two_hubs, on_a_grid, duplicates, collinear, points, mixed_lengths, same_place]

@@ -7,7 +7,7 @@ from people import DT, ready
 from test_relational import ENGINES
 
 import wakefold as wf
-from wakefold.experiments.walking.rivals import f1
+from wakefold.experiments.stats import f1
 from wakefold.relations.learning.together import fit
 
 PRIOR = 0.3

@@ -118,6 +118,11 @@ class Section(NamedTuple):
     notes: Sequence[str] = ()
 
 
+def no_jobs(size: Size) -> list[Job]:
+    """Of a figure that is a picture: the report makes all of it."""
+    return []
+
+
 class Experiment(Protocol):
     """What a module of ``FIGURES`` offers."""
 

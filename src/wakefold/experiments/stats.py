@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wakefold.base.types import Bools
+
 RESAMPLES = 4000
 
 
@@ -47,6 +49,11 @@ def wilcoxon(a: ArrayLike, b: ArrayLike) -> float:
         return 1.0
     result: Any = wilcoxon(x, y)
     return float(result.pvalue)
+
+
+def f1(found: Bools, truth: Bools) -> float:
+    """Harmonic mean of precision and recall; 0 where nothing was found."""
+    return float(2 * (found & truth).sum() / max(int(found.sum()) + int(truth.sum()), 1))
 
 
 def number(value: float) -> str:

@@ -9,17 +9,14 @@ from matplotlib.figure import Figure
 
 from wakefold import plot
 from wakefold.experiments.mhpf import datasets
-from wakefold.experiments.registry import Claim, Job, Picture, Section, Size
+from wakefold.experiments.registry import Claim, Picture, Section, Size, no_jobs
 from wakefold.model.filtration import Filtration
 from wakefold.plot.canvas import BACKDROP, PALETTE, draw_lines, ground, styled
 from wakefold.tracks.tracks import Tracks
 
 TITLE = "Figure 1: classes of a Y-junction by birth"
 UNIT = (0.0, 0.0, 1.0, 1.0)
-
-
-def jobs(size: Size) -> list[Job]:
-    return []
+jobs = no_jobs
 
 
 def report(results: list[Any], size: Size, folder: Path) -> Section:

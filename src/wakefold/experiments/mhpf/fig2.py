@@ -13,7 +13,7 @@ from wakefold import plot
 from wakefold.evidence.coarse import CoarseClass
 from wakefold.evidence.fix import Fix
 from wakefold.experiments.mhpf import datasets
-from wakefold.experiments.registry import Claim, Job, Picture, Section, Size, Table
+from wakefold.experiments.registry import Claim, Picture, Section, Size, Table, no_jobs
 from wakefold.filters.belief import Belief
 from wakefold.filters.mhpf import MHPF
 from wakefold.model.filtration import Filtration
@@ -21,10 +21,7 @@ from wakefold.model.model import learn
 from wakefold.plot.canvas import INK, PALE, PALETTE, styled
 
 TITLE = "Figures 2 and 4: a coarse report walks through the tree"
-
-
-def jobs(size: Size) -> list[Job]:
-    return []
+jobs = no_jobs
 
 
 def report(results: list[Any], size: Size, folder: Path) -> Section:

@@ -10,15 +10,12 @@ from matplotlib.patches import Circle
 
 from wakefold import plot
 from wakefold.experiments.mhpf import datasets
-from wakefold.experiments.registry import Job, Picture, Section, Size
+from wakefold.experiments.registry import Picture, Section, Size, no_jobs
 from wakefold.model.filtration import Filtration
 from wakefold.plot.canvas import BACKDROP, INK, PALETTE, ground, styled
 
 TITLE = "Figure 5: the data"
-
-
-def jobs(size: Size) -> list[Job]:
-    return []
+jobs = no_jobs
 
 
 def report(results: list[Any], size: Size, folder: Path) -> Section:

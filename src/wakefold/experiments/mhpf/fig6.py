@@ -10,15 +10,12 @@ import numpy as np
 from wakefold import plot
 from wakefold.evidence.fix import Fix
 from wakefold.experiments.mhpf.scenarios import Scenario, Setting, chosen
-from wakefold.experiments.registry import Claim, Job, Picture, Section, Size
+from wakefold.experiments.registry import Claim, Picture, Section, Size, no_jobs
 from wakefold.filters.mhpf import MHPF
 
 TITLE = "Figure 6: the belief over time and level"
 SETTING = Setting("ways", "out", 0.02, 0.01)
-
-
-def jobs(size: Size) -> list[Job]:
-    return []
+jobs = no_jobs
 
 
 def report(results: list[Any], size: Size, folder: Path) -> Section:

@@ -11,17 +11,14 @@ from matplotlib.figure import Figure
 from wakefold import plot
 from wakefold.experiments.mhpf import datasets
 from wakefold.experiments.mhpf.rasters import TANKERS, traffic
-from wakefold.experiments.registry import Job, Picture, Section, Size
+from wakefold.experiments.registry import Picture, Section, Size, no_jobs
 from wakefold.model.filtration import Filtration
 from wakefold.plot.canvas import PALETTE, SINGLE, draw_lines, ground, styled
 from wakefold.tracks.tracks import Tracks
 
 TITLE = "Figure 8: density of traffic and classes of 194 walks over it"
 LEVEL = 14.0  # cells; the paper's is 70 of its units
-
-
-def jobs(size: Size) -> list[Job]:
-    return []
+jobs = no_jobs
 
 
 def report(results: list[Any], size: Size, folder: Path) -> Section:

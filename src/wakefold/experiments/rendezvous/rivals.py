@@ -30,11 +30,6 @@ class Threshold(NamedTuple):
     f1: float
 
 
-def f1(said: NDArray[np.bool_], true: NDArray[np.bool_]) -> float:
-    """Harmonic mean of precision and recall; 0 where nothing was found."""
-    return float(2 * (said & true).sum() / max(said.sum() + true.sum(), 1))
-
-
 def threshold(scores: Floats, positive: NDArray[np.bool_]) -> Threshold:
     """The score from which on "rendezvous" is said, for the best F1; the middle of the widest gap of equally good."""
     values = np.unique(scores)

@@ -24,7 +24,6 @@ from wakefold.experiments.rendezvous.rivals import (
     Rule,
     States,
     decoded,
-    f1,
     features,
     kalman,
     near_and_slow,
@@ -35,6 +34,7 @@ from wakefold.experiments.rendezvous.rivals import (
     two_class,
 )
 from wakefold.experiments.rendezvous.scenes import EASY, HARD, Scenes, scenes
+from wakefold.experiments.stats import f1
 
 TAUGHT, JUDGED = 60, 100  # scenes of a split
 CONDITIONS: dict[str, tuple[tuple[str, ...], float, float]] = {  # negatives, noise in metres, share missing

@@ -11,6 +11,7 @@ from itertools import product
 import numpy as np
 
 from wakefold.base.types import Bools, Floats
+from wakefold.experiments.stats import f1
 from wakefold.relations.learning.logistic import logistic
 from wakefold.relations.learning.together import Crowd
 from wakefold.relations.learning.walkers import Walkers, steps
@@ -21,11 +22,6 @@ SHARES = (0.3, 0.5, 0.7, 0.8, 0.9)  # of the time
 RIDGES = (0.01, 0.1, 1.0)
 CUTS = tuple(np.linspace(-2.5, 2.5, 21))  # log-odds
 COLUMNS = {"spacing and velocity": slice(0, 7), "and coming and going": slice(0, 11)}
-
-
-def f1(truth: Bools, found: Bools) -> float:
-    """F1 of a set of pairs."""
-    return float(2 * (truth & found).sum() / max(int(truth.sum()) + int(found.sum()), 1))
 
 
 def features(walkers: Walkers, scene: Crowd) -> Floats:

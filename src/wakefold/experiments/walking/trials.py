@@ -17,11 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wakefold.base.types import Bools, Floats
+from wakefold.experiments.stats import f1
 from wakefold.experiments.walking.blackout import Window, learn_reunion, reunite
 from wakefold.experiments.walking.hidden import Beside, Company, Told, accompanied, equations, hide, places, solve, told
 from wakefold.experiments.walking.pedestrians import FRAME, SCENES, PedestrianScene, read_scenes
 from wakefold.experiments.walking.recalibration import learn_soon, learn_surer
-from wakefold.experiments.walking.rivals import Logistic, Rule, f1, features, within
+from wakefold.experiments.walking.rivals import Logistic, Rule, features, within
 from wakefold.relations.learning.together import Crowd, SceneConstants, TogetherFit, crowd, fit, fits
 from wakefold.relations.learning.walkers import Walkers, follow
 
