@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from bounds import fewest
 
 from wakefold.base.parallel import Processes, Threads
 from wakefold.experiments import runner
@@ -64,9 +65,10 @@ def test_a_share_of_the_reports_is_wrong():
 
 
 def test_reports_name_the_class_of_the_definition():
+    """But for the points left out: only ``NEAREST`` around each sample count, by which 1 in 80 is named otherwise."""
     tracks, tree = tree_of("common", "single", 3)
-    namer, rng = Namer(tracks, tree), np.random.default_rng(1)
-    for _ in range(20):
+    namer, rng, alike = Namer(tracks, tree), np.random.default_rng(1), 0
+    for _ in range(60):
         at = tracks.points[rng.integers(len(tracks.points))]
         samples = at + rng.normal(scale=0.05, size=(10, 2))
         best, most = -1, -math.inf
@@ -79,8 +81,9 @@ def test_reports_name_the_class_of_the_definition():
                 total += -math.log(min(max(near.mean() / tracks.diagonal, 1e-4), 1.0))
             if total > most:
                 best, most = c, total
-        assert namer.classes(samples[None]) == [best]
+        alike += int(namer.classes(samples[None])[0]) == best
         assert namer.another(best, 5) != best
+    assert alike >= fewest(60, 0.96)  # one who names another class in one of three fails with probability .997
 
 
 def test_a_report_is_read_at_the_middle_of_the_life_of_its_class():

@@ -125,7 +125,7 @@ def test_a_scene_tells_how_far_apart_its_people_walk(trained):
 def test_the_order_of_people_does_not_matter(trained):
     constants = fit([c for _, c, _ in trained], [y for *_, y in trained])
     tracks, _ = scene(31, people=30)
-    order = np.random.default_rng(0).permutation(30)
+    order = np.random.default_rng(0).permutation(len(tracks))
     beliefs = []
     for one in (tracks, tracks.select(order)):
         people = crowd(follow(one, DT))
@@ -137,7 +137,8 @@ def test_the_order_of_people_does_not_matter(trained):
         beliefs.append(dict(zip(names, p.tolist(), strict=True)))
     assert beliefs[0].keys() == beliefs[1].keys()
     # ghosts pair the first with the second in order of people, so the scene's constants are the same but nearly
-    assert all(abs(p - beliefs[1][name]) < 0.1 for name, p in beliefs[0].items())
+    off = [abs(p - beliefs[1][name]) for name, p in beliefs[0].items()]
+    assert np.mean(off) < 0.005  # over scenes 7e-5 (sd 2e-4)
 
 
 def test_fit_refuses_what_it_cannot_learn_from(trained):
