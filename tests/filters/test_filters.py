@@ -136,7 +136,7 @@ def test_a_step_is_the_naive_step_with_the_same_draws(rule, family, dim):
 @pytest.mark.parametrize("dim", [2, 4, 5])
 @pytest.mark.parametrize("likelihood", ["log", "gaussian", "student"])
 def test_the_base_level_under_gsi2017_and_fixes_is_bl1_draw_for_draw(likelihood, dim):
-    model = wf.learn(some_tracks(dim=dim), scale=0.4, sd=1.5)
+    model = wf.learn(bundles(dim=dim), scale=0.4, sd=1.5)
     mhpf = wf.MHPF(model, 60, rule="gsi2017", likelihood=likelihood, levels="all", depletion=0.05, seed=5)
     bl1 = wf.BL1(model, 60, likelihood=likelihood, depletion=0.05, seed=5)
     a, b = mhpf.start(), bl1.start()
