@@ -94,7 +94,9 @@ def of_scenes() -> Iterator[Named]:
                 scan = wf.Detections(at[seen], sd=0.3, ids=ids, clutter=1e-3 if ids is None else 0.0, **sensor)
                 scene = f.step(scene, scan, dt=0.4 if k else 0.0)
                 out += [scene.mean, scene.cov, scene.existence, scene.log_evidence, scene.ids]
-                out += [x for p in scene.pairs for x in (p.p, p.bits, p.states, *p.stages)]
+                for p in scene.pairs:  # an engine has one of these, and the other is told as empty
+                    bits = getattr(p, "bits", np.zeros((0, len(p.p)), bool))
+                    out += [p.p, bits, getattr(p, "states", np.zeros((0, 8))), *p.stages]
             yield f"parts {engine}, {case}", tuple(out)
 
 
