@@ -50,7 +50,7 @@ def sniff(source: Source, columns: Mapping[str, str | int] | None) -> str:
         return "mfjson" if re.search(moving, head) else "geojson"
     if text.startswith(b"*T*"):
         return "traj"
-    if re.search(rb"^\s*(TRACK|Properties)\.R\d+\s*=\s*\[", head, re.MULTILINE):
+    if re.search(rb"^[ \t]*(TRACK|Properties)\.R\d+\s*=\s*\[", head, re.MULTILINE):
         return "edinburgh"
     if NMEA.search(head):
         return "nmea"
