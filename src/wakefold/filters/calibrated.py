@@ -11,6 +11,7 @@ import numpy as np
 
 from wakefold.base import random, small
 from wakefold.base.random import agent_key
+from wakefold.base.types import Floats, Ints
 from wakefold.base.units import LOST, Time, timestamp
 from wakefold.evidence.coarse import CoarseClass, alive_classes, coarse_log_g
 from wakefold.evidence.confusion import Confusion, Reliability
@@ -18,7 +19,7 @@ from wakefold.evidence.evidence import Evidence
 from wakefold.evidence.fix import Fix
 from wakefold.filters.belief import Belief, GaussianBelief, Gaussians
 from wakefold.filters.kernels import particles as kernel
-from wakefold.filters.particles import RECOVER, START, Floats, Ints, Items, ParticleFilter
+from wakefold.filters.particles import RECOVER, START, Items, ParticleFilter
 from wakefold.filters.resampling import pick_strata
 from wakefold.model.deviation import KINDS, Deviation
 from wakefold.model.kernels import components

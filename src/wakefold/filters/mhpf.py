@@ -10,11 +10,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from wakefold.base.types import Floats, Ints
 from wakefold.evidence.coarse import CoarseClass
 from wakefold.evidence.fix import Fix
 from wakefold.filters.belief import Belief, Stack, StackBelief
 from wakefold.filters.kernels import particles as kernel
-from wakefold.filters.particles import COPIES, NOISE, Floats, Ints, Items, ParticleFilter
+from wakefold.filters.particles import COPIES, NOISE, Items, ParticleFilter
 from wakefold.model.kernels import motion
 from wakefold.model.model import Model
 

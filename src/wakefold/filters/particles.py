@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from wakefold.base import random, small
 from wakefold.base.random import agent_key
+from wakefold.base.types import Floats, Ints
 from wakefold.base.units import LOST, Time, timestamp
 from wakefold.evidence.coarse import CoarseClass, Family, coarse_log_g
 from wakefold.evidence.evidence import Evidence, in_order
@@ -31,8 +32,6 @@ from wakefold.tracks.shaping import along
 if TYPE_CHECKING:
     from wakefold.model.model import Model
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Items = Sequence[tuple[float, Evidence]]
 Kind = TypeVar("Kind", bound=Belief)
 

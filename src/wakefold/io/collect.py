@@ -11,9 +11,10 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from wakefold.base.types import Floats
 from wakefold.base.units import FARTHEST
 from wakefold.io import times
-from wakefold.io.records import Floats, Latest, Rows, Static, as_text, last_rows
+from wakefold.io.records import Latest, Rows, Static, as_text, last_rows
 from wakefold.io.report import ReadError, Report, Tally
 from wakefold.io.rules import Mask, grouping, jumps, project, repeated, sort_times, starts, taken
 from wakefold.tracks.tracks import Tracks

@@ -6,15 +6,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wakefold.base import small
+from wakefold.base.types import Floats, Ints
 from wakefold.model.dynamics import Dynamics
 from wakefold.model.kernels import components
 from wakefold.model.model import Model
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 MOST = 300  # tracks that are held out
 PIECES = 4  # of a track, each with offsets of its own
 SHOWN = 30  # tracks that are held out to see how far fixes tell tracks apart

@@ -9,10 +9,10 @@ from copy import copy
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wakefold.base.types import Floats
 from wakefold.base.units import FARTHEST
 from wakefold.relations.predicates import number
 
-Floats = NDArray[np.float64]
 DetectProb = float | Callable[[Floats], ArrayLike]
 FINEST = 1e-9  # metres
 

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wakefold.base import store
+from wakefold.base.types import Floats, Ints
 from wakefold.relations.activities import phases, taken_place
 from wakefold.relations.model import RelationalModel
 from wakefold.relations.pairs import GaussianPairs, Pairs, ParticlePairs
 
 KIND = "scene"
 Kind = TypeVar("Kind", bound=Pairs)
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 class ObjectTable(NamedTuple):

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from wakefold import plot
+from wakefold.base.types import Floats
 from wakefold.evidence.coarse import CONFIDENCE, CoarseClass
 from wakefold.evidence.fix import Fix
 from wakefold.experiments.harbour.report import report_page
@@ -27,7 +28,7 @@ from wakefold.forecast.scores import EVERY, HORIZONS, Question, errors, question
 from wakefold.io import read_tracks
 from wakefold.model.linkage.distance import distances_from
 from wakefold.model.model import Model, learn
-from wakefold.tracks.tracks import Floats, Tracks
+from wakefold.tracks.tracks import Tracks
 
 WEEK, DAY = "NYHarbor_2020_12_first_week.traj", "NYHarbor_2020_12_08.traj"
 SEED = 8

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wakefold.base.parallel import thread_map
-from wakefold.tracks.tracks import Floats, Tracks
+from wakefold.base.types import Floats
+from wakefold.tracks.tracks import Tracks
 
 _CELLS = 1 << 28  # cells of the dynamic programme in one piece of work: some tens of milliseconds
 

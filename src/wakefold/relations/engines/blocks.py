@@ -9,9 +9,9 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wakefold.base import small
+from wakefold.base.types import Floats, Ints
 from wakefold.relations.engines.objects import Settings
 from wakefold.relations.engines.pairs import diffusions
 from wakefold.relations.kernels import sampled as kernel
@@ -19,9 +19,6 @@ from wakefold.relations.model import Sampler
 from wakefold.relations.motion import moving
 from wakefold.relations.pairs import ParticlePairs
 from wakefold.relations.scene import Particles
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def blocks_of(particles: Particles) -> list[Ints]:

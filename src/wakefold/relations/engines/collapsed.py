@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from wakefold.base import small
+from wakefold.base.types import Floats
 from wakefold.relations.activities import advance
 from wakefold.relations.detections import Detections
 from wakefold.relations.engines.association import TINY, associate
@@ -31,7 +32,6 @@ from wakefold.relations.model import Relation
 from wakefold.relations.pairs import GaussianPairs
 from wakefold.relations.scene import CollapsedScene
 
-Floats = NDArray[np.float64]
 NONE = np.zeros(0)
 
 

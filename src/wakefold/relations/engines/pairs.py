@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from wakefold.base.types import Floats, Ints
 from wakefold.relations.activities import begin
 from wakefold.relations.engines.objects import GONE, Objects, Settings
 from wakefold.relations.kernels import histories, turnover
@@ -22,8 +23,6 @@ from wakefold.relations.motion import row
 from wakefold.relations.pairs import GaussianPairs, Pairs, ParticlePairs
 from wakefold.relations.predicates import Predicate
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Kind = TypeVar("Kind", bound=Pairs)
 
 HYSTERESIS = 1.25  # a pair is let go at this many gates

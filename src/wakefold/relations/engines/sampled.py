@@ -12,9 +12,9 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wakefold.base import small
+from wakefold.base.types import Floats, Ints
 from wakefold.base.units import LOST
 from wakefold.relations.activities import advance
 from wakefold.relations.detections import Detections
@@ -29,9 +29,6 @@ from wakefold.relations.kernels.predicates import Features, truth
 from wakefold.relations.model import Relation
 from wakefold.relations.pairs import ParticlePairs
 from wakefold.relations.scene import Particles, ParticleScene
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def step(s: Settings, scene: ParticleScene, scan: Detections | None, dt: float) -> ParticleScene:

@@ -19,8 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 from wakefold.base import small
+from wakefold.base.types import Bools, Floats
 from wakefold.relations.kernels.looks import in_common
-from wakefold.relations.learning.logistic import Bools, Floats, logistic, probability
+from wakefold.relations.learning.logistic import logistic, probability
 from wakefold.relations.learning.walkers import (
     DIFFERENCE,
     SPACING,
