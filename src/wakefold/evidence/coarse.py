@@ -1,4 +1,4 @@
-"""What an observation says: fine evidence (a position fix) and coarse evidence (a class of the filtration)."""
+"""A report of a class of the filtration: coarse evidence, and how likely it is under each class."""
 
 from __future__ import annotations
 

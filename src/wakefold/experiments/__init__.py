@@ -1,1 +1,1 @@
-"""The experiments of the papers: one module for each figure or number; ``wakefold reproduce`` runs them."""
+"""The experiments of the papers, a folder for each with the code that only it uses; what `reproduce` runs."""

@@ -1,8 +1,4 @@
-"""Pictures: tracks, the filtration beside its tracks, beliefs over time and level, forecasts, relations, events.
-
-Every function returns a `matplotlib.figure.Figure` of its own: no global state, no display needed, and the same
-input gives the same file. Write it with `save`.
-"""
+"""A picture of all tracks on the map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The dendrogram of a filtration, readable for many hundreds of tracks."""
+"""The filtration beside its tracks, and its dendrogram, readable for many hundreds of tracks."""
 
 from __future__ import annotations
 

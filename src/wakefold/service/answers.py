@@ -8,8 +8,6 @@ import json
 from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
-# Answers
-
 
 class Place(NamedTuple):
     """An estimated position: ``names`` say of what (lon and lat, or x, y, z); sd per axis, metres."""

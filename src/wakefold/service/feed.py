@@ -1,7 +1,7 @@
-"""Observations of many agents as a feed, one line each, and the answers to them: CSV or JSON lines.
+"""Observations of many agents as a feed, one line each: CSV or JSON lines; or the points of any file of tracks.
 
 A feed may be endless, so everything here works line by line, and a line that cannot be used costs itself only: it
-comes out as a ``Refused`` that says which field is wrong. docs/cli.md describes both formats.
+comes out as a ``Refused`` that says which field is wrong. docs/cli.md describes the lines.
 """
 
 from __future__ import annotations

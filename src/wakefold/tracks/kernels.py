@@ -1,4 +1,4 @@
-"""Stops and simplification of ragged tracks, compiled. Arrays in, arrays out."""
+"""Stops, simplification and places along ragged tracks, compiled. Arrays in, arrays out."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which objects there are and which pairs are looked at: what the engines of the relational filter share."""
+"""Which pairs are looked at, and how they move and switch: what the engines of the relational filter share."""
 
 from __future__ import annotations
 
