@@ -69,6 +69,20 @@ def test_learn_says_what_it_read_and_writes_json(room: Path) -> None:
     assert len(wf.load("spoilt.model").tracks) == 10
 
 
+def test_a_model_tells_how_its_tracks_were_cut(room: Path) -> None:
+    asked = "--stop 150m,10min --min-length 1km --max-speed 40 --spacing 200m"
+    assert run(f"learn harbour.csv -o cut.model {asked}")[0] == 0
+    assert wf.load(room / "cut.model").shaping == {
+        "max_gap": 1800.0,
+        "max_speed": 40.0,
+        "stop_radius": 150.0,
+        "stop_time": 600.0,
+        "min_length": 1000.0,
+        "spacing": 200.0,
+    }
+    assert wf.load(room / "harbour.model").shaping["stop_time"] is None
+
+
 def test_planar_tracks_choose_their_own_spacing(room: Path) -> None:
     code, out, _ = run("learn people.csv --columns agent=who,time=t,x=px,y=py -o own.model --json")
     assert code == 0

@@ -73,6 +73,25 @@ def test_damaged_models_are_refused(model, tmp_path):
         wf.load(tmp_path / "tree")
 
 
+def test_a_model_remembers_how_its_tracks_were_shaped(model, tmp_path):
+    from dataclasses import replace
+
+    assert model.shaping == {}
+    shaping = {"max_gap": 1800.0, "max_speed": None, "spacing": 50.5}
+    replace(model, shaping=shaping).save(tmp_path / "model")
+    assert wf.load(tmp_path / "model").shaping == shaping
+    arrays, meta = store.load(tmp_path / "model", "model")
+    del meta["shaping"]  # as older versions wrote it
+    store.save(tmp_path / "older", arrays, meta, "model")
+    assert wf.load(tmp_path / "older").shaping == {}
+    for wrong in ({"gap": 1.0}, {"spacing": -1.0}, {"spacing": "far"}, {"max_gap": math.nan}):
+        with pytest.raises(ValueError, match="shaping: "):
+            replace(model, shaping=wrong)
+    store.save(tmp_path / "wrong", arrays, meta | {"shaping": [1]}, "model")
+    with pytest.raises(StoreError, match="not a sound model"):
+        wf.load(tmp_path / "wrong")
+
+
 def test_a_belief_comes_back_bit_for_bit_and_goes_on_alike(model, tmp_path):
     f = wf.MHPF(model, 30, seed=1, levels="all")
     belief = f.step(f.start(time=5.0), [wf.Fix(model.tracks[3][1], sd=20.0)], dt=1.5)

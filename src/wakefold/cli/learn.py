@@ -83,8 +83,11 @@ def learn(
       $ wakefold learn monday.csv tuesday.csv --stop 150m,10min --min-length 1km -o week.model
       $ wakefold learn people.csv --columns agent=who,time=t,x=px,y=py -o forum.model
     """
+    from dataclasses import replace
+
     import wakefold as wf
     from wakefold.cli.facts import level_table, model_facts
+    from wakefold.model.model import SHAPING
 
     options.input_files(tracks)
     options.model_directory(output)
@@ -126,8 +129,9 @@ def learn(
             executor=None if executor is ExecutorName.threads else options.ray_workers(threads),
             checkpoint=checkpoint,
         )
+    shaping = {**dict.fromkeys(SHAPING), **cuts, "min_length": shortest, "spacing": step}
     with naming(output):
-        model.save(output)
+        replace(model, shaping=shaping).save(output)
     tree = model.filtration
     if json_:
         print(json.dumps({"model": str(output), "report": report.to_dict(), **model_facts(model), "spacing": step}))

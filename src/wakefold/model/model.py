@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from wakefold.model.filtration import Filtration, Linkage
 from wakefold.tracks.tracks import Tracks
 
 KIND = "model"
+SHAPING = ("max_gap", "max_speed", "stop_radius", "stop_time", "min_length", "spacing")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -29,18 +30,30 @@ class Model:
         filtration: the tree of their classes.
         dynamics: the velocity field of every class.
         sd: standard deviation of a fix that does not tell its own, metres per axis.
+        shaping: how the tracks were cut and resampled before they were learned: ``max_gap`` and ``stop_time`` in
+            seconds, ``max_speed`` in m/s, ``stop_radius``, ``min_length`` and ``spacing`` in metres; None where one
+            was not used. Empty if it is not known.
+
+    Raises:
+        ValueError: tracks and filtration of different numbers, or a number out of range.
     """
 
     tracks: Tracks
     filtration: Filtration
     dynamics: Dynamics
     sd: float
+    shaping: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if len(self.tracks) != len(self.filtration):
             raise ValueError(f"{len(self.tracks)} tracks but a filtration of {len(self.filtration)}")
         if not 0.0 < self.sd < math.inf:
             raise ValueError(f"sd must be a positive number of metres, got {self.sd}")
+        for name, value in self.shaping.items():
+            if name not in SHAPING:
+                raise ValueError(f"shaping: {name!r} is none of {', '.join(SHAPING)}")
+            if value is not None and not (isinstance(value, (int, float)) and 0.0 <= value < math.inf):
+                raise ValueError(f"shaping: {name} must be a number >= 0 or None, got {value!r}")
 
     def __repr__(self) -> str:
         d = self.dynamics
@@ -60,7 +73,7 @@ class Model:
         for name, part in (("tracks", self.tracks), ("filtration", self.filtration), ("dynamics", self.dynamics)):
             packed, meta[name] = part.packed()
             arrays |= {f"{name}_{key}": array for key, array in packed.items()}
-        store.save(directory, arrays, {**meta, "sd": self.sd}, KIND)
+        store.save(directory, arrays, {**meta, "sd": self.sd, "shaping": dict(self.shaping)}, KIND)
 
 
 def load(directory: str | os.PathLike[str]) -> Model:
@@ -78,8 +91,8 @@ def load(directory: str | os.PathLike[str]) -> Model:
         tracks = Tracks.unpacked(part("tracks"), meta["tracks"])
         filtration = Filtration.unpacked(part("filtration"), meta["filtration"])
         dynamics = Dynamics.unpacked(part("dynamics"), meta["dynamics"], tracks, filtration)
-        return Model(tracks, filtration, dynamics, meta["sd"])
-    except (KeyError, TypeError, ValueError) as error:
+        return Model(tracks, filtration, dynamics, meta["sd"], meta.get("shaping", {}))  # older models have none
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise store.StoreError(f"{directory} is not a sound model: {error}") from None
 
 
