@@ -45,8 +45,9 @@ MORE = {  # what stands in no `wakefold.X`: package -> (title, module, names; al
         (
             "Kinds of beliefs",
             "filters.belief",
-            ["TrackBelief", "FieldBelief", "StackBelief", "GaussianBelief", "Stack", "Gaussians"],
+            ["TrackBelief", "FieldBelief", "StackBelief", "GaussianBelief"],
         ),
+        ("What they hold beside particles", "filters.sets", ["Stack", "Gaussians"]),
         ("Tables of classes", "filters.levels", ["LevelTable", "LevelRow"]),
         ("Hidden states", "filters.hmm", ["StateBelief"]),
     ],

@@ -83,6 +83,50 @@ def test_a_model_tells_how_its_tracks_were_cut(room: Path) -> None:
     assert wf.load(room / "harbour.model").shaping["stop_time"] is None
 
 
+def test_a_model_grows_where_it_is(room: Path) -> None:
+    assert run("learn harbour.csv -o growing.model")[0] == 0
+    before = wf.load(room / "growing.model")
+    code, out, _ = run("learn growing.model --extend wednesday.csv tuesday.csv")
+    assert code == 0
+    assert "20 tracks added to 10 tracks" in out
+    after = wf.load(room / "growing.model")
+    assert after.tracks.ids.tolist()[:10] == before.tracks.ids.tolist()
+    assert {"ship9#0", "ship9#1", "boat9#0"} <= set(after.tracks.ids.tolist())
+    assert (after.shaping, after.sd) == (before.shaping, before.sd)
+    assert after.filtration.same_as(wf.learn(after.tracks).filtration)
+    code, out, err = run("learn growing.model --extend wednesday.csv")  # once more
+    assert code == 1
+    assert "10 tracks left out, of agents and times that the model has" in err
+    code, out, err = run("learn growing.model --forget 8d --json -o young.model")
+    assert code == 0
+    said = json.loads(out)
+    young = wf.load(room / "young.model").tracks
+    assert said["tracks"] == len(young) == 30 - said["forgotten"]
+    assert young.times.min() > after.tracks.times.max() - 8.1 * 86_400
+    assert len(wf.load(room / "growing.model").tracks) == 30
+
+
+def test_what_a_model_cannot_take_is_refused(room: Path) -> None:
+    assert run("learn people.csv --columns agent=who,time=t,x=px,y=py -o crowd.model")[0] == 0
+    for line, code, why in (
+        ("learn harbour.csv --extend tuesday.csv", 1, "harbour.csv is not a stored model"),
+        ("learn harbour.model --extend nowhere.csv", 1, "nowhere.csv"),
+        ("learn harbour.model --extend -", 2, "standard input"),
+        ("learn harbour.model --extend tuesday.csv --max-gap 1h", 2, "--max-gap"),
+        ("learn harbour.model --extend tuesday.csv --linkage complete", 2, "--linkage"),
+        ("learn harbour.model --forget never", 2, "--forget"),
+        ("learn harbour.model --extend tuesday.csv -o people.csv", 2, "--output"),
+        (
+            "learn crowd.model --extend tuesday.csv",
+            1,
+            "the new tracks are 2-D, with lon and lat, those of the model 2-D",
+        ),
+        ("learn crowd.model --forget 90d", 1, "no dates"),
+    ):
+        got, _, err = run(line)
+        assert (got, why in err) == (code, True), (line, err)
+
+
 def test_planar_tracks_choose_their_own_spacing(room: Path) -> None:
     code, out, _ = run("learn people.csv --columns agent=who,time=t,x=px,y=py -o own.model --json")
     assert code == 0

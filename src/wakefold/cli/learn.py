@@ -13,6 +13,7 @@ from wakefold.base.files import naming
 from wakefold.base.wording import counted, duration_text, number_text
 from wakefold.cli import options
 from wakefold.cli.console import fail, guarded, progress, say
+from wakefold.cli.grow import OPTIONS, grow
 from wakefold.cli.options import Columns, Json, TimeFormat, arg, opt
 
 if TYPE_CHECKING:
@@ -36,8 +37,22 @@ class ExecutorName(StrEnum):
 
 @guarded
 def learn(
-    tracks: Annotated[list[Path], arg("Files of tracks; their format is recognised.")],
-    output: Annotated[Path, opt("Directory to keep the model in.", "-o", "--output")],
+    context: typer.Context,
+    tracks: Annotated[list[Path], arg("Files of tracks; their format is recognised. Or a model to --extend.")],
+    output: Annotated[
+        Path | None,
+        opt(
+            "Directory to keep the model in; with --extend or --forget by default that of the model.", "-o", "--output"
+        ),
+    ] = None,
+    extend: Annotated[
+        list[Path] | None,
+        opt("Add the tracks of this file, and of others after it, to the model, which is not learned anew."),
+    ] = None,
+    forget: Annotated[
+        str | None,
+        opt("Drop the tracks of the model that end this long before the last to end, such as 90d."),
+    ] = None,
     spacing: Annotated[
         str,
         typer.Option(
@@ -82,6 +97,7 @@ def learn(
       $ wakefold learn harbour.csv -o harbour.model
       $ wakefold learn monday.csv tuesday.csv --stop 150m,10min --min-length 1km -o week.model
       $ wakefold learn people.csv --columns agent=who,time=t,x=px,y=py -o forum.model
+      $ wakefold learn harbour.model --extend wednesday.csv --forget 90d -o fresh.model
     """
     from dataclasses import replace
 
@@ -89,7 +105,17 @@ def learn(
     from wakefold.cli.facts import level_table, model_facts
     from wakefold.model.model import SHAPING
 
+    names = options.columns(columns)
+    if extend or forget is not None:
+        for name, written in options.given(context).items():
+            if name not in OPTIONS:
+                options.wrong(written, "a model that grows keeps what it was learned with")
+        reading = {"columns": names, "time_format": time_format}
+        grow(tracks[0], [*(extend or ()), *tracks[1:]], output, forget, reading, threads, json_)
+        return
     options.input_files(tracks)
+    if output is None:
+        options.wrong("--output", "missing: a directory to keep the model in")
     options.model_directory(output)
     if linkage is LinkageName.complete and executor is not ExecutorName.threads:
         options.wrong("--executor", "complete linkage runs on the threads of this machine")
@@ -99,7 +125,6 @@ def learn(
         options.wrong("--max-speed", "must be above 0")
     shortest = options.length("--min-length", min_length, zero=True)
     radius = None if epsilon is None else options.length("--epsilon", epsilon)
-    names = options.columns(columns)
     with progress("reading") as update:
         read, report = wf.read_tracks(tracks, columns=names, time_format=time_format, progress=update)
     show = say if json_ else print

@@ -44,6 +44,13 @@ TimeFormat = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, for a program to read.")]
 
 
+def given(context: typer.Context) -> dict[str, str]:
+    """What the command line gives: names of the parameters, and how their options are written there."""
+    sources = {p.name: context.get_parameter_source(p.name) for p in context.command.params if p.name}
+    written = {p.name: max(p.opts, key=len) for p in context.command.params}
+    return {name: written[name] for name, source in sources.items() if source and source.name == "COMMANDLINE"}
+
+
 def wrong(option: str, why: str) -> NoReturn:
     """Wrong usage of an option: exit code 2."""
     raise typer.BadParameter(why, param_hint=option)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,61 +16,15 @@ from wakefold.base import small, store
 from wakefold.base.remember import Remembers
 from wakefold.base.types import Floats, Ints
 from wakefold.filters.levels import LevelTable
+from wakefold.filters.sets import Gaussians, Stack
+from wakefold.model.growth import carried
 
 if TYPE_CHECKING:
     from wakefold.model.filtration import Filtration
+    from wakefold.model.model import Model
 
 Estimate = Literal["base", "stack"]
 KIND = "belief"
-
-
-@dataclass(frozen=True, eq=False)
-class Stack(Remembers):
-    """The coarse particle sets of one step: copies of base particles under their ancestors in use.
-
-    Attributes:
-        nodes: ``(A,)`` class ids; children before parents, leaves first (a leaf's set is its share of the base set).
-        start: ``(A + 1,)`` first copy of each node.
-        particle: ``(S,)`` base particle of each copy.
-        copied: ``(N,)`` log-weights of the base particles when they were copied.
-        factors: ``(A,)`` log-multiplier of each node's set since then.
-        where: tells the positions of the copies; ``points`` asks it once.
-    """
-
-    nodes: Ints
-    start: Ints
-    particle: Ints
-    copied: Floats
-    factors: Floats
-    where: Callable[[], Floats]
-
-    @cached_property
-    def points(self) -> Floats:
-        """``(S, d)`` positions of the copies: worked out now, as they cost far more than the rest of a step."""
-        return self.where()
-
-    @cached_property
-    def log_weights(self) -> Floats:
-        """``(S,)`` log-weights of the copies."""
-        sizes = self.start[1:] - self.start[:-1]  # np.diff takes 5 µs more
-        return self.copied[self.particle] + np.repeat(self.factors, sizes)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return super().__getstate__() | {"where": partial(np.asarray, self.points)}  # not the model it asks
-
-
-class Gaussians(NamedTuple):
-    """What the particles of ``Calibrated`` carry beside the mean of their position, which is in ``points``.
-
-    Attributes:
-        covs: ``(N, d, d)`` covariance of the position, square metres.
-        spreads: ``(N,)`` how far the agent is held to stray from its track, sd, metres.
-        trust: ``(N, G)`` log-weights of the share of genuine reports at the nodes of the filter's prior.
-    """
-
-    covs: Floats
-    spreads: Floats
-    trust: Floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -196,6 +149,34 @@ class Belief(Remembers):
         points, weights = self._cloud(estimate, level)
         return small.covariance(weights, points, small.mean(weights, points))
 
+    def on(self, model: Model) -> Self:
+        """The same belief about the classes of another model: this one extended, say, or without its old tracks.
+
+        Single tracks are known by their ids; another class becomes the smallest that holds those of its tracks that the
+        model has. Particles on tracks that it has not get the weight 0, which the others share in proportion, and are
+        drawn anew by the next step. A track that came new has no particle: it is reached as any other that has none, by
+        the share of classes that is redrawn, or when the agent is lost and found again.
+
+        Args:
+            model: in the same plane. Steps then take a filter of that model, with the settings of the one before.
+
+        Raises:
+            ValueError: none of the tracks that the agent may be on is there, or positions of other coordinates.
+        """
+        if self.points.shape[1] != model.tracks.dim:
+            raise ValueError(f"the belief is {self.points.shape[1]}-D, the model {model.tracks.dim}-D")
+        return self._on(model.filtration)
+
+    def _on(self, tree: Filtration) -> Self:
+        classes = carried(self.tree, tree, self.classes)
+        logs = np.where(classes < 0, -math.inf, self.log_weights)
+        if (likeliest := logs.max()) == -math.inf:
+            raise ValueError("no track that the agent may be on is left in the model: start a new belief")
+        if (classes < 0).any():
+            classes[classes < 0] = classes[logs.argmax()]
+            logs -= likeliest + math.log(small.exp(logs - likeliest).sum())
+        return replace(self, tree=tree, classes=classes, log_weights=logs)
+
     def save(self, directory: str | os.PathLike[str]) -> None:
         """Store bit for bit as a directory of arrays and a manifest; ``load`` needs the same model again."""
         meta = {name: getattr(self, name) for name in _NUMBERS}
@@ -269,17 +250,23 @@ class FieldBelief(Belief):
 
     filter = "BL2"
 
+    def _on(self, tree: Filtration) -> Self:
+        return replace(self, tree=tree, classes=np.full_like(self.classes, tree.root))
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StackBelief(Belief):
     """Of ``MHPF``.
 
     Attributes:
-        stack: the coarse sets of the last step; None where there are none, as before the first.
+        stack: the coarse sets of the last step; None where there are none, as before the first, or after ``on``.
     """
 
     stack: Stack | None = None
     filter = "MHPF"
+
+    def _on(self, tree: Filtration) -> Self:
+        return replace(super()._on(tree), stack=None)
 
     def _copies(self, level: float | None) -> tuple[Floats, Floats]:
         s = self.stack
@@ -316,6 +303,24 @@ class GaussianBelief(Belief):
 
     gaussians: Gaussians
     filter = "Calibrated"
+
+    def _on(self, tree: Filtration) -> Self:
+        """Every track that came new gets a Gaussian without mass, which holds all that the others do.
+
+        The share of the mass that switches gives it some at the next step.
+        """
+        moved, own = super()._on(tree), self.gaussians
+        come = np.flatnonzero(~np.isin(tree.ids, self.tree.ids))
+        rows = np.concatenate([np.flatnonzero(carried(self.tree, tree, self.classes) >= 0), np.zeros_like(come)])
+        classes, new = moved.classes[rows], slice(len(rows) - len(come), None)
+        points, logs = moved.points[rows], moved.log_weights[rows]
+        covs, spreads, trust = own.covs[rows], own.spreads[rows], own.trust[rows]
+        classes[new], points[new], logs[new], covs[new] = come, moved.mean(), -math.inf, moved.cov()
+        spreads[new] = small.mean(moved.weights, own.spreads[:, None])[0]
+        trust[new] = small.log(small.mean(moved.weights, small.exp(own.trust)))
+        by = np.argsort(tree.rank[classes], kind="stable")
+        gaussians = Gaussians(covs[by], spreads[by], trust[by])
+        return replace(moved, points=points[by], classes=classes[by], log_weights=logs[by], gaussians=gaussians)
 
     def cov(self, estimate: Estimate = "base", *, level: float | None = None) -> Floats:
         """Covariance ``(d, d)`` of the position, square metres, between the Gaussians and within them."""

@@ -17,10 +17,11 @@ from wakefold.evidence.coarse import CoarseClass, alive_classes, coarse_log_g
 from wakefold.evidence.confusion import Confusion, Reliability
 from wakefold.evidence.evidence import Evidence
 from wakefold.evidence.fix import Fix
-from wakefold.filters.belief import Belief, GaussianBelief, Gaussians
+from wakefold.filters.belief import Belief, GaussianBelief
 from wakefold.filters.kernels import particles as kernel
 from wakefold.filters.particles import RECOVER, START, Items, ParticleFilter
 from wakefold.filters.resampling import pick_strata
+from wakefold.filters.sets import Gaussians
 from wakefold.model.deviation import KINDS, Deviation
 from wakefold.model.kernels import components
 from wakefold.model.model import Model

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from wakefold.base.types import Floats, Ints
 from wakefold.evidence.coarse import CoarseClass
 from wakefold.evidence.fix import Fix
-from wakefold.filters.belief import Belief, Stack, StackBelief
+from wakefold.filters.belief import Belief, StackBelief
 from wakefold.filters.kernels import particles as kernel
 from wakefold.filters.particles import COPIES, NOISE, Items, ParticleFilter
+from wakefold.filters.sets import Stack
 from wakefold.model.kernels import motion
 from wakefold.model.model import Model
 

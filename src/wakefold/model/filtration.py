@@ -8,7 +8,7 @@ two ranks i < j is ``max(gaps[i:j])``. Everything else here is derived from thes
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Literal
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wakefold.base import store
-from wakefold.base.parallel import Executor
+from wakefold.base.parallel import Executor, Progress
 from wakefold.base.remember import Remembers
 from wakefold.base.types import Floats, Ints
 from wakefold.base.wording import near_miss
@@ -90,7 +90,7 @@ class Filtration(Remembers):
         tracks: Tracks,
         linkage: Linkage = "single",
         threads: int | None = None,
-        progress: Callable[[float], None] | None = None,
+        progress: Progress | None = None,
         *,
         executor: Executor | None = None,
         checkpoint: str | os.PathLike[str] | None = None,
@@ -138,12 +138,15 @@ class Filtration(Remembers):
             return fitted
         return cls.from_distances(frechet_matrix(tracks, threads=threads, progress=progress), tracks.ids, linkage)
 
-    def extend(self, tracks: Tracks, new: Tracks, threads: int | None = None) -> Filtration:
+    def extend(
+        self, tracks: Tracks, new: Tracks, threads: int | None = None, progress: Progress | None = None
+    ) -> Filtration:
         """The filtration of the tracks and new ones, exactly as ``fit`` gives it for ``Tracks.concat([tracks, new])``.
 
         Args:
             tracks: those this filtration was built from.
             new: at least one, of other ids.
+            threads, progress: as in ``fit``.
 
         Raises:
             ValueError: not the tracks of this filtration, an id used twice, another plane, or complete linkage, which
@@ -152,11 +155,11 @@ class Filtration(Remembers):
         self._check_tracks(tracks)
         if self.linkage != "single":
             raise ValueError("only single linkage can be extended; fit the complete linkage of all tracks again")
-        if not set(new.ids.tolist()).isdisjoint(tracks.ids.tolist()):
-            raise ValueError("a new track has an id that is used already")
+        if twice := [name for name in new.ids.tolist() if name in self.numbers]:
+            raise ValueError(f"the id {twice[0]!r} of a new track is used already")
         if len(new) == 0:
             return self
-        tree = grown_tree(self._index_of(tracks), self.order, self.gaps, new, threads)
+        tree = grown_tree(self._index_of(tracks), self.order, self.gaps, new, threads, progress)
         return Filtration(*dendrogram.leaf_order(*tree), np.concatenate([tracks.ids, new.ids]))
 
     @classmethod
@@ -250,9 +253,9 @@ class Filtration(Remembers):
             ValueError: there is no such track.
         """
         if isinstance(track, str):
-            if track not in self._numbers:
-                raise ValueError(f"no track has the id {track!r}{near_miss(track, self._numbers)}")
-            return self._numbers[track]
+            if track not in self.numbers:
+                raise ValueError(f"no track has the id {track!r}{near_miss(track, self.numbers)}")
+            return self.numbers[track]
         if not 0 <= track < len(self):
             raise ValueError(f"there is no track {track}; tracks run from 0 to {len(self) - 1}")
         return int(track)
@@ -364,7 +367,8 @@ class Filtration(Remembers):
     # Derived tables
 
     @cached_property
-    def _numbers(self) -> dict[str, int]:
+    def numbers(self) -> dict[str, int]:
+        """Index of each track by its id."""
         return {name: index for index, name in enumerate(self.ids.tolist())}
 
     @cached_property

@@ -5,20 +5,22 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from numpy.typing import NDArray
 
 from wakefold.base import store
 from wakefold.base.parallel import Executor
+from wakefold.base.units import Duration, seconds
 from wakefold.base.wording import number_text
+from wakefold.model import growth
 from wakefold.model.dynamics import Dynamics, Noise
 from wakefold.model.filtration import Filtration, Linkage
+from wakefold.model.growth import SHAPING
 from wakefold.tracks.tracks import Tracks
 
 KIND = "model"
-SHAPING = ("max_gap", "max_speed", "stop_radius", "stop_time", "min_length", "spacing")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -74,6 +76,72 @@ class Model:
             packed, meta[name] = part.packed()
             arrays |= {f"{name}_{key}": array for key, array in packed.items()}
         store.save(directory, arrays, {**meta, "sd": self.sd, "shaping": dict(self.shaping)}, KIND)
+
+    def shaped(self, tracks: Tracks) -> Tracks:
+        """Tracks as ``read_tracks`` gives them, made ready for ``extend``.
+
+        They are cut, filtered and resampled as the model's own were, by ``shaping``; what that does not tell is as
+        ``wakefold learn`` does it by itself, with the median spacing of the model's tracks. Pieces are counted on where
+        the model has pieces of the same name. A track that shares some time with one of the same agent in the model is
+        left out, if times are dates: it was learned already. ``notes`` says what was left out.
+
+        Raises:
+            ValueError: planar tracks for a geodetic model, the other way round, or other coordinates.
+        """
+        return growth.shaped(tracks, self.tracks, self.shaping)
+
+    def extend(
+        self, tracks: Tracks, *, threads: int | None = None, progress: Callable[[float], None] | None = None
+    ) -> Model:
+        """The model with more tracks, which are numbered after those it has, without learning anew.
+
+        Tree and velocities are those of learning all tracks at once, to the bit. Settings that ``learn`` takes from the
+        data (epsilon, scale of the noise, interval, sd) stay those of this model, so that beliefs go on: see
+        ``Belief.on``. Complete linkage, which new tracks can change everywhere, is fitted anew.
+
+        Args:
+            tracks: of other ids, cut and resampled as the model's own: see ``shaped``. Geodetic ones may lie in another
+                plane.
+            threads: all cores by default.
+            progress: called with the share of the work done, 0 to 1.
+
+        Raises:
+            ValueError: an id that is used already, planar tracks for a geodetic model, the other way round, or other
+                coordinates.
+        """
+        new = growth.on_plane(tracks, self.tracks)
+        if not len(new):
+            return self
+        every = Tracks.concat([self.tracks, new])
+        if self.filtration.linkage == "complete":
+            return self._of(every, Filtration.fit(every, "complete", threads, progress))
+        return self._of(every, self.filtration.extend(self.tracks, new, threads, progress))
+
+    def forget(
+        self, age: Duration, *, threads: int | None = None, progress: Callable[[float], None] | None = None
+    ) -> Model:
+        """The model without the tracks that end more than ``age`` before the last to end; settings stay.
+
+        What held the others together may be gone, so the tree of the rest is fitted anew.
+
+        Args:
+            age: seconds, or such as "90d".
+            threads, progress: as in ``learn``.
+
+        Raises:
+            ValueError: times that are no dates.
+        """
+        kept = growth.recent(self.tracks, seconds(age))
+        if kept.all():
+            return self
+        left = self.tracks.select(kept)
+        return self._of(left, Filtration.fit(left, self.filtration.linkage, threads, progress))
+
+    def _of(self, tracks: Tracks, filtration: Filtration) -> Model:
+        """This model with other tracks, which have its plane."""
+        own = self.dynamics
+        learned = Dynamics.learn(tracks, filtration, own.epsilon, own.noise, own.scale)
+        return replace(self, tracks=tracks, filtration=filtration, dynamics=replace(learned, interval=own.interval))
 
 
 def load(directory: str | os.PathLike[str]) -> Model:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from wakefold.base.parallel import thread_map
+from wakefold.base.parallel import Progress, thread_map
 from wakefold.base.types import Floats, Ints
 from wakefold.model.linkage.bounds import Boxes, boxes_of, in_lanes
 from wakefold.model.linkage.dendrogram import range_maxima
@@ -17,7 +21,12 @@ PIECE = 64  # new tracks that search in one piece of work
 
 
 def grown_tree(
-    index: TrackIndex, order: Ints, gaps: Floats, new: Tracks, threads: int | None = None
+    index: TrackIndex,
+    order: Ints,
+    gaps: Floats,
+    new: Tracks,
+    threads: int | None = None,
+    progress: Progress | None = None,
 ) -> tuple[Ints, Floats]:
     """A minimum spanning tree of tracks and new ones, which are numbered after them.
 
@@ -25,6 +34,7 @@ def grown_tree(
         index: of the M tracks.
         order, gaps: their dendrogram, ``(M,)`` and ``(M - 1,)``.
         new: K tracks, at least one.
+        progress: called with the share of the pieces of work that is done, 0 to 1.
 
     Returns:
         edges ``(M + K - 1, 2)`` and heights ``(M + K - 1,)``, metres, rising.
@@ -40,16 +50,21 @@ def grown_tree(
     rank = np.empty(len(old), dtype=np.int64)
     rank[order] = np.arange(len(old))
 
+    tell = progress or (lambda share: None)
+
+    def run(half: float) -> Callable[[Callable[[int], Any], Sequence[int]], list[Any]]:
+        return partial(thread_map, threads=threads, progress=lambda done: tell(half + 0.5 * done))
+
     of_new, nowhere = boxes_of(features), np.full(len(new), -1)
     asking = new, of_new.order, features
-    pairs, heights = _edges(asking, nowhere, old, boxes, index.lanes, rank, range_maxima(gaps), scale, threads)
+    pairs, heights = _edges(asking, nowhere, old, boxes, index.lanes, rank, range_maxima(gaps), scale, run(0.0))
     by = np.argsort(gaps)
     first = np.concatenate([order[:-1][by], len(old) + pairs[:, 0]])
     second = np.concatenate([order[1:][by], pairs[:, 1]])
     forest = grown_forest(None, first, second, np.concatenate([gaps[by], heights]), len(old) + len(new))
 
     rank = forest.rank[len(old) :]
-    pairs, heights = _edges(asking, rank, new, of_new, in_lanes(of_new), rank, forest.maxima, scale, threads)
+    pairs, heights = _edges(asking, rank, new, of_new, in_lanes(of_new), rank, forest.maxima, scale, run(0.5))
     pairs += len(old)
     forest = grown_forest(forest, pairs[:, 0], pairs[:, 1], heights, len(old) + len(new))
     return np.stack([forest.first, forest.second], axis=1), forest.heights
@@ -64,7 +79,7 @@ def _edges(
     rank: Ints,
     maxima: Floats,
     scale: tuple[float, float],
-    threads: int | None,
+    run: Callable[[Callable[[int], Any], Sequence[int]], list[Any]],
 ) -> tuple[Ints, Floats]:
     """Edges that could be of use of all tracks ``asking``, with their order and features; see ``kernels.growth``."""
     from wakefold.model.linkage.kernels.growth import edges_to
@@ -78,7 +93,7 @@ def _edges(
         asked = by[start : start + PIECE], (new.points, new.offsets), features, entries
         return edges_to(*asked, (others.points, others.offsets), shape, lanes, tree, scale, axes)
 
-    found = thread_map(work, range(0, len(new), PIECE), threads)
+    found = run(work, range(0, len(new), PIECE))
     pairs, heights = zip(*found, strict=True)
     return np.concatenate(pairs), np.concatenate(heights)
 
