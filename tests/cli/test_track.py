@@ -14,6 +14,7 @@ import pytest
 from room import WAKEFOLD, fixes, harbour, run
 
 import wakefold as wf
+from wakefold.cli import followers
 from wakefold.service import album as pictures
 from wakefold.service import fleet
 from wakefold.service.feed import Observation
@@ -49,12 +50,46 @@ def test_an_agent_s_answers_do_not_depend_on_the_others(room: Path) -> None:
     assert [line for line in together.splitlines() if line.startswith("tug")] == alone.splitlines()[1:]
 
 
-@pytest.mark.parametrize("name", ["bl1", "bl1+coarse", "bl2", "mhpf --rule gsi2017 --likelihood student"])
+@pytest.mark.parametrize("name", ["bl1", "bl1+coarse", "bl2", "calibrated", "mhpf --rule gsi2017 --likelihood student"])
 def test_every_filter_follows(name: str, room: Path) -> None:
     code, out, err = run(f"track harbour.model fixes.csv --particles 50 --filter {name}")
     assert code == 0, err
     assert len(out.splitlines()) == 18
     assert ("class@" in out) == (name != "bl2")
+
+
+def test_options_that_a_filter_does_not_read_are_refused(room: Path) -> None:
+    for name, option, readers in (
+        ("bl1", "--rule gsi2017", "mhpf do"),
+        ("bl2", "--levels 2", "mhpf, bl1, bl1+coarse, calibrated do"),
+        ("bl2", "--depletion 0.01", "mhpf, bl1, bl1+coarse do"),
+        ("calibrated", "--rule arxiv2016", "mhpf do"),
+        ("calibrated", "--likelihood gaussian", "mhpf, bl1, bl1+coarse, bl2 do"),  # its default, but given
+        ("calibrated", "--depletion 0.01", "mhpf, bl1, bl1+coarse do"),
+    ):
+        code, _, err = run(f"track harbour.model fixes.csv --filter {name} {option}")
+        assert code == 2
+        assert f"{option.split()[0]}: --filter {name} does not read it; {readers}" in " ".join(err.split())
+    every = {filter: kind.reads for filter, kind in followers.FILTERS.items()}
+    assert every.keys() == set(followers.FilterName)
+    assert all({"sd", "seed"} <= reads for reads in every.values())
+
+
+def test_the_calibrated_filter_answers_as_in_the_library(room: Path) -> None:
+    _, out, _ = run("track harbour.model fixes.csv --filter calibrated --sd 30m --seed 5 --agent tug --levels 1000m")
+    filter = wf.Calibrated(wf.load("harbour.model"), 200, sd=30.0, seed=5)
+    belief = None
+    for row in csv.DictReader(io.StringIO(fixes())):
+        if row["agent"] == "tug":
+            fix = wf.Fix(lon=float(row["lon"]), lat=float(row["lat"]), sd=20.0)
+            if belief is None:
+                belief = filter.start(fix=fix, time=row["time"], agent="tug")
+            else:
+                belief = filter.step(belief, [fix], time=row["time"])
+    last = list(csv.DictReader(io.StringIO(out)))[-1]
+    assert belief is not None
+    assert float(last["probability@1000"]) == pytest.approx(belief.level(1000.0).probability[0], abs=1e-6)
+    assert float(last["ess"]) == pytest.approx(belief.ess, abs=0.1)
 
 
 def test_a_share_that_draws_no_class_anew_is_pointed_out_once(room: Path) -> None:

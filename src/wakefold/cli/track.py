@@ -10,14 +10,8 @@ import typer
 
 from wakefold.cli import console, options
 from wakefold.cli.console import guarded, progress, say
+from wakefold.cli.followers import FILTERS, FilterName, check, follower
 from wakefold.cli.options import Columns, TimeFormat, arg, opt
-
-
-class FilterName(StrEnum):
-    mhpf = "mhpf"
-    bl1 = "bl1"
-    bl1_coarse = "bl1+coarse"
-    bl2 = "bl2"
 
 
 class RuleName(StrEnum):
@@ -41,6 +35,7 @@ DEPLETION = 0.001  # of 200 particles it redraws none, and lets a recovery find 
 
 @guarded
 def track(
+    context: typer.Context,
     model: Annotated[Path, arg("Directory that `wakefold learn` made.")],
     observations: Annotated[
         str,
@@ -58,7 +53,9 @@ def track(
             show_default=False,
         ),
     ] = None,
-    filter: Annotated[FilterName, typer.Option(help="The filter that follows.")] = FilterName.mhpf,
+    filter: Annotated[
+        FilterName, typer.Option(help="The filter that follows. An option that it does not read is refused.")
+    ] = FilterName.mhpf,
     rule: Annotated[RuleName | None, opt("Update rule of mhpf; arxiv2016 if not given.")] = None,
     likelihood: Annotated[
         LikelihoodName, typer.Option(help="How a fix weighs particles; log is the papers' way.")
@@ -67,7 +64,10 @@ def track(
         str | None,
         opt("Standard deviation of fixes that tell none, such as 20m; the model's if not given."),
     ] = None,
-    particles: Annotated[int, typer.Option(help="Particles of each agent.", min=1, max=1_000_000)] = 200,
+    particles: Annotated[
+        int,
+        typer.Option(help="Particles of each agent; calibrated has one for each track at least.", min=1, max=1_000_000),
+    ] = 200,
     depletion: Annotated[
         float | None,
         typer.Option(
@@ -106,18 +106,22 @@ def track(
       $ wakefold track harbour.model fixes.csv --agent ferry --picture ferry.png -o ferry.csv
     """
     import wakefold as wf
+    from wakefold.filters.particles import ParticleFilter
     from wakefold.service import album, fleet, follow
 
-    if rule is not None and filter is not FilterName.mhpf:
-        options.wrong("--rule", "only --filter mhpf has update rules")
-    if levels is not None and filter is FilterName.bl2:
-        options.wrong("--levels", "--filter bl2 tells no classes apart")
+    check(filter, options.given(context))
     share = DEPLETION if depletion is None else depletion
     if not 0 <= share <= 1:
         options.wrong("--depletion", f"{share:g} is not a share from 0 to 1")
-    asked = [] if filter is FilterName.bl2 else options.levels(levels or "3")
-    settings: dict[str, Any] = {"likelihood": likelihood.value, "depletion": share, "seed": seed}
-    settings |= {} if sd is None else {"sd": options.length("--sd", sd)}
+    asked = options.levels(levels or "3") if "levels" in FILTERS[filter].reads else []
+    settings: dict[str, Any] = {
+        "rule": None if rule is None else rule.value,
+        "likelihood": likelihood.value,
+        "sd": None if sd is None else options.length("--sd", sd),
+        "particles": particles,
+        "depletion": share,
+        "seed": seed,
+    }
     silence = options.duration("--max-gap", max_gap)
     horizons = options.horizons(forecast)
     names = options.feed_columns(columns)
@@ -131,18 +135,11 @@ def track(
     if horizons and horizons[-1] > (most := fleet.longest_step(known)):
         options.wrong("--forecast", f"{horizons[-1]:g} s is too far ahead for this model, {most:g} s at most")
     heights = options.heights(asked, known.filtration)
-    match filter:
-        case FilterName.mhpf:
-            settings |= {} if rule is None else {"rule": rule.value}
-            follower = wf.MHPF(known, particles, levels=heights, **settings)
-        case FilterName.bl2:
-            follower = wf.BL2(known, particles, **settings)
-        case _:
-            follower = wf.BL1(known, particles, coarse=filter is FilterName.bl1_coarse, **settings)
-    if depletion and not follower.redrawn and filter is not FilterName.bl2:
+    following = follower(filter, known, {**settings, "levels": heights})
+    if depletion and isinstance(following, ParticleFilter) and not following.redrawn:
         say(f"--depletion {depletion:g} of {particles:,} particles is none: no class is drawn anew while an agent is "
             f"followed; more than {0.5 / particles:g} draws one")  # fmt: skip
-    crowd = fleet.Crowd(follower, heights, horizons, max_agents, silence, say)
+    crowd = fleet.Crowd(following, heights, horizons, max_agents, silence, say)
     pages = album.Album(heights) if picture is not None else None
     form = options.form_of_name(output) if format is None else format.value
     with progress("following", shown=output != "-") as update:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -15,9 +15,10 @@ from wakefold.service.feed import Observation
 
 if TYPE_CHECKING:
     from wakefold.filters.belief import Belief
-    from wakefold.filters.bootstrap import BL1, BL2
-    from wakefold.filters.mhpf import MHPF
+    from wakefold.filters.particles import ParticleFilter
     from wakefold.model.model import Model
+
+    Follower = ParticleFilter[Any]
 
 BACK = 3  # lines of an agent in a row that are earlier than its belief, with rising times: its clock was set right
 REMEMBERED = 100_000  # agents dropped that are not counted as new when they come back
@@ -40,7 +41,7 @@ class Crowd:
 
     def __init__(
         self,
-        filter: MHPF | BL1 | BL2,
+        filter: Follower,
         levels: Sequence[float],
         horizons: Sequence[float],
         max_agents: int,
