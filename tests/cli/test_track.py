@@ -16,8 +16,10 @@ from room import WAKEFOLD, fixes, harbour, run
 import wakefold as wf
 from wakefold.cli import followers
 from wakefold.service import album as pictures
-from wakefold.service import fleet
-from wakefold.service.feed import Observation
+from wakefold.service import feed, fleet
+from wakefold.service.answers import csv_line
+from wakefold.service.feed import Observation, Refused
+from wakefold.service.remarks import Remarks
 
 
 def test_track_answers_every_observation_of_every_agent(room: Path) -> None:
@@ -134,7 +136,8 @@ def test_one_wrong_time_does_not_silence_an_agent(room: Path) -> None:
     assert "line 3 refused: time: '1e300'" in err
     events, err = follow(right[0], "2999-01-01T00:00:00Z", *right[1:])
     assert (events[:3], len(events)) == (["start", "restart", "restart"], 5)  # two right lines are lost
-    assert err.count("time runs backwards") == 2
+    assert err.count("time runs backwards: evidence of") == 1
+    assert "2 lines refused (time runs backwards) in all" in err
     assert follow("2999-01-01T00:00:00Z", *reversed(right))[0] == ["start"]  # they do not agree with each other
     back = ["2020-12-08T05:00:00Z", "2020-12-08T05:01:00Z"]
     events, _ = follow(right[0], *back, right[1], *back, right[2])  # never three in a row
@@ -146,7 +149,8 @@ def test_agents_are_bounded_and_a_long_silence_starts_anew(room: Path) -> None:
     given = "agent,time,lon,lat\n" + "".join(line.format(*x) for x in [("a", "06:00"), ("b", "06:01"), ("a", "06:02")])
     _, out, err = run("track harbour.model - --max-agents 1", given)
     assert [row["event"] for row in csv.DictReader(io.StringIO(out))] == ["start", "start", "start"]
-    assert err.count("dropped") == 2
+    assert err.count("dropped: over 1 live agents") == 1
+    assert "2 agents dropped in all" in err
     assert "3 observations of 2 agents answered" in err
     _, out, _ = run("track harbour.model - --max-gap 90s", given)
     assert [row["event"] for row in csv.DictReader(io.StringIO(out))] == ["start", "start", "restart"]
@@ -154,23 +158,49 @@ def test_agents_are_bounded_and_a_long_silence_starts_anew(room: Path) -> None:
 
 def test_what_is_kept_of_agents_met_is_bounded(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fleet, "REMEMBERED", 3)
-    crowd = fleet.Crowd(wf.BL2(wf.load("harbour.model"), 5), [], [], 2, 1e9, lambda line: None)
+    crowd = fleet.Crowd(wf.BL2(wf.load("harbour.model"), 5), [], [], 2, 1e9, Remarks(lambda line: None))
     for i in range(50):
-        crowd(Observation(i, f"agent {i}", float(i), float(i)))
-        crowd(Observation(i, f"agent {i - i % 2}", float(i), float(i)))  # some come back
+        names = f"agent {i}", f"agent {i - i % 2}"  # some come back
+        assert sum(map(len, crowd([Observation(i, name, float(i), float(i)) for name in names]))) == 2
     assert crowd.met == 50
     kept = sum(len(value) for value in vars(crowd).values() if hasattr(value, "__len__"))
     assert kept <= 2 + 3
 
 
+@pytest.mark.parametrize("filter", ["bl1", "mhpf", "calibrated"])
+def test_a_block_is_answered_as_its_lines_one_by_one(filter: str, room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lines of several agents, some of them wrong: errors cost only themselves, whatever comes together."""
+    header, *good = fixes().splitlines()
+    half, back = "ferry,2020-12-08T06:01:10Z,-73.99,,20,,", "ferry,2020-12-08T06:03:10Z,-74,40.6,20,,"
+    last = ["tug,2020-12-08T06:09:00Z,-73.98,40.61,20,99999,300", "tug,2020-12-08T06:10:00Z,-73.98,40.612,20,,"]
+    spoilt = [*good[:3], half, *good[3:], back, *last]
+    model = wf.load("harbour.model")
+    outs = []
+    for size, wait in ((1, 1e9), (5, 1e9), (99, 1e9), (99, -1.0)):
+        monkeypatch.setattr(fleet, "WAIT", wait)
+        follower = followers.follower(followers.FilterName(filter), model, {"particles": 30, "levels": [300.0]})
+        crowd = fleet.Crowd(follower, [300.0, 1000.0], [60.0, 300.0], 10, 1e9, Remarks(print))
+        lines = [(n, line.encode()) for n, line in enumerate(spoilt, 2)]
+        blocks = [[(1, header.encode())], *(lines[k : k + size] for k in range(0, len(lines), size))]
+        parts = [part for block in feed.read(blocks) for part in crowd(block)]
+        assert max(map(len, parts)) == (2 if wait < 0 else min(size, len(spoilt)))  # what is refused costs no time
+        outs.append([one if isinstance(one, Refused) else csv_line(one.answer) for part in parts for one in part])
+    assert outs[0] == outs[1] == outs[2] == outs[3]
+    refused = [one for one in outs[0] if isinstance(one, Refused)]
+    assert [one.why.split(":")[0] for one in refused] == ["lat", "time runs backwards", "class"]
+    assert len(outs[0]) == len(spoilt)
+
+
 def test_an_album_keeps_a_handful_of_moments_however_long_the_feed(room: Path) -> None:
     model = wf.load("harbour.model")
     follower = wf.BL1(model, 20)
-    crowd = fleet.Crowd(follower, [300.0], [], 10, 1e9, print)
+    crowd = fleet.Crowd(follower, [300.0], [], 10, 1e9, Remarks(print))
     album = pictures.Album([300.0])
     for i in range(100):
         seen = Observation(i, "a", float(i), float(i), wf.Fix(model.tracks[0][0]))
-        album.add(seen, crowd(seen)[1], crowd)
+        ((one,),) = crowd([seen])
+        assert isinstance(one, fleet.Answered)
+        album.add(one.seen, one.belief, crowd)
     times = [moment.time for moment in album.moments()]
     assert len(times) == pictures.ROWS
     assert times[0] == 0.0

@@ -17,7 +17,7 @@ from wakefold.service import feed as obs
 
 def feed(text: str | bytes, columns: dict[str, str] | None = None) -> list[obs.Observation | obs.Refused]:
     raw = text.encode() if isinstance(text, str) else text
-    return list(obs.read(obs.numbered_lines(io.BytesIO(raw)), columns))
+    return [seen for block in obs.read(obs.blocks_of(io.BytesIO(raw)), columns) for seen in block]
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +171,17 @@ def test_which_first_lines_begin_a_feed() -> None:
 
 def test_points_of_tracks_in_the_order_of_time() -> None:
     tracks = wf.Tracks.from_arrays([[[0.0, 0], [1, 0]], [[5.0, 5], [6, 5]]], [[0.0, 10], [5.0, 15]], ids=["p", "q"])
-    assert [(o.agent, o.time) for o in obs.of_tracks(tracks)] == [("p", 0.0), ("q", 5.0), ("p", 10.0), ("q", 15.0)]
+    (block,) = obs.of_tracks(tracks)
+    seen = [o for o in block if isinstance(o, obs.Observation)]
+    assert [(o.agent, o.time) for o in seen] == [("p", 0.0), ("q", 5.0), ("p", 10.0), ("q", 15.0)]
+
+
+def test_many_points_of_tracks_come_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(obs, "POINTS", 3)
+    tracks = wf.Tracks.from_arrays([[[float(k)] for k in range(7)]])
+    blocks = list(obs.of_tracks(tracks))
+    assert [len(block) for block in blocks] == [3, 3, 1]
+    assert [seen.line for block in blocks for seen in block] == list(range(1, 8))
 
 
 @given(st.binary(max_size=400))
@@ -198,7 +208,9 @@ def test_geodetic_tracks_without_dates_keep_their_own_clock() -> None:
     lon, lat = [1.0, 1.1], [2.0, 2.0]
     for begin, stamp in ((0.0, 0.0), (1.6e9, "2020-09-13T12:26:40.000Z")):
         tracks = wf.Tracks.from_columns(agent=["a", "a"], time=[begin, begin + 1], lon=lon, lat=lat)
-        assert next(obs.of_tracks(tracks)).stamp == stamp
+        first = next(obs.of_tracks(tracks))[0]
+        assert isinstance(first, obs.Observation)
+        assert first.stamp == stamp
 
 
 def test_answers_in_csv_have_the_header_s_columns_and_in_json_the_same_values() -> None:
@@ -212,3 +224,74 @@ def test_answers_in_csv_have_the_header_s_columns_and_in_json_the_same_values() 
     assert said["estimate"] == {"lon": -74.012346, "lat": 40.6, "sd": 12.35}
     assert said["levels"][1] == {"level": 2000.0, "class": 30, "probability": 1.0, "tracks": 9}
     assert said["forecast"][0]["seconds"] == 300.0
+
+
+class Dripping(io.BytesIO):
+    """A stream of which a few bytes are there at a time."""
+
+    def __init__(self, raw: bytes, sizes: list[int]) -> None:
+        super().__init__(raw)
+        self.sizes = sizes
+
+    def read1(self, size: int | None = -1, /) -> bytes:
+        return super().read(self.sizes.pop() if self.sizes else size)
+
+
+@given(st.lists(st.binary(max_size=40), max_size=12), st.lists(st.integers(1, 60), max_size=20))
+def test_lines_do_not_depend_on_how_they_come(lines: list[bytes], sizes: list[int]) -> None:
+    raw = b"\n".join(lines)
+    found = [pair for block in obs.blocks_of(Dripping(raw, sizes)) for pair in block]
+    assert found == [(n, line.removesuffix(b"\n")) for n, line in enumerate(io.BytesIO(raw), 1)]
+
+
+def test_lines_that_are_there_come_without_waiting_and_long_ones_take_little_room() -> None:
+    raw = b"a\nb\nc" + b"x" * (3 * obs.LONGEST_LINE) + b"\nd"
+    blocks = list(obs.blocks_of(Dripping(raw, [50_000] * 3 + [5])))
+    assert blocks[0] == [(1, b"a"), (2, b"b")]
+    (number, long), *rest = [pair for block in blocks[1:] for pair in block]
+    assert (number, len(long)) == (3, obs.LONGEST_LINE + 1)
+    assert rest == [(4, b"d")]
+
+
+CELLS = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\r"), max_size=12)
+NUMBERS = st.floats(-1e6, 1e6)
+PLACES = st.builds(answers.Place, st.just(("lon", "lat")), st.tuples(NUMBERS, NUMBERS), st.floats(0, 1e9))
+PLACES |= st.builds(answers.Place, st.just(("x",)), st.tuples(NUMBERS), st.floats(0, 1e9))
+BEST = st.builds(answers.Best, NUMBERS, st.integers(0, 10**6), st.floats(0, 1), st.integers(1, 10**6))
+ANSWERS = st.builds(
+    answers.Answer,
+    CELLS,
+    CELLS | NUMBERS | st.integers(0, 10**12),
+    st.sampled_from(["start", "off-map"]),
+    PLACES,
+    st.floats(0, 1e5),
+    st.integers(0, 9),
+    st.lists(BEST, max_size=3),
+    st.lists(st.tuples(NUMBERS, PLACES), max_size=2),
+)
+
+
+@given(ANSWERS)
+def test_lines_of_answers_are_what_csv_and_json_write(one: answers.Answer) -> None:
+    def place(p: answers.Place) -> dict[str, float]:
+        digits = 6 if "lon" in p.names else 3
+        values = {name: round(value, digits) for name, value in zip(p.names, p.values, strict=True)}
+        return {**values, "sd": float(f"{p.sd:.4g}")}
+
+    cells = [one.agent, one.stamp, one.event, *place(one.place).values(), f"{one.ess:.1f}", one.recoveries]
+    for b in one.levels:
+        cells += [b.class_, f"{b.probability:.6f}", b.tracks]
+    for _, p in one.ahead:
+        cells += place(p).values()
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerow(cells)
+    assert answers.csv_line(one) == out.getvalue()
+    row = {"agent": one.agent, "time": one.stamp, "event": one.event, "estimate": place(one.place)}
+    row |= {"ess": round(one.ess, 1), "recoveries": one.recoveries}
+    row["levels"] = [
+        {"level": b.level, "class": b.class_, "probability": round(b.probability, 6), "tracks": b.tracks}
+        for b in one.levels
+    ]
+    if one.ahead:
+        row["forecast"] = [{"seconds": seconds, **place(p)} for seconds, p in one.ahead]
+    assert answers.json_line(one) == json.dumps(row, ensure_ascii=False) + "\n"

@@ -108,6 +108,7 @@ def track(
     import wakefold as wf
     from wakefold.filters.particles import ParticleFilter
     from wakefold.service import album, fleet, follow
+    from wakefold.service.remarks import Remarks
 
     check(filter, options.given(context))
     share = DEPLETION if depletion is None else depletion
@@ -139,7 +140,7 @@ def track(
     if depletion and isinstance(following, ParticleFilter) and not following.redrawn:
         say(f"--depletion {depletion:g} of {particles:,} particles is none: no class is drawn anew while an agent is "
             f"followed; more than {0.5 / particles:g} draws one")  # fmt: skip
-    crowd = fleet.Crowd(following, heights, horizons, max_agents, silence, say)
+    crowd = fleet.Crowd(following, heights, horizons, max_agents, silence, Remarks(say))
     pages = album.Album(heights) if picture is not None else None
     form = options.form_of_name(output) if format is None else format.value
     with progress("following", shown=output != "-") as update:

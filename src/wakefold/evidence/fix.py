@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -79,3 +80,21 @@ class Fix:
     def __repr__(self) -> str:
         where = f"lon={self.lonlat[0]}, lat={self.lonlat[1]}" if self.lonlat else f"{self.position}"
         return f"Fix({where}{'' if self.sd is None else f', sd={self.sd:g}'})"
+
+
+def on_plane(fixes: Sequence[Fix | None], projection: Projection | None, dim: int) -> list[Fix | None]:
+    """The same fixes, their longitudes and latitudes projected at once onto the plane of a model.
+
+    One that does not fit the model stays as it is: ``Fix.on_plane`` says why.
+    """
+    out = list(fixes)
+    rows = [k for k, fix in enumerate(out) if fix is not None and fix.lonlat is not None]
+    if projection is None or dim != 2 or not rows:
+        return out
+    places = projection.to_plane(*zip(*(fix.lonlat for k in rows if (fix := out[k]) and fix.lonlat), strict=True))
+    sound = np.asarray(np.isfinite(places).all(axis=1))
+    for k, place, good in zip(rows, places, sound, strict=True):
+        if good and (fix := out[k]):
+            out[k] = moved = Fix.__new__(Fix)  # checked already
+            moved.position, moved.lonlat, moved.sd = place, None, fix.sd
+    return out

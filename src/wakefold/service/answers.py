@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import json
-from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+import re
+from collections.abc import Sequence
+from json.encoder import encode_basestring
+from typing import NamedTuple
 
 
 class Place(NamedTuple):
@@ -53,7 +52,7 @@ def csv_header(place: Sequence[str], levels: Sequence[float], ahead: Sequence[fl
         names += [f"class@{level}", f"probability@{level}", f"tracks@{level}"]
     for seconds in _distinct(ahead):
         names += [f"{name}+{seconds}s" for name in (*place, "sd")]
-    return _csv(names)
+    return ",".join(names) + "\n"
 
 
 def _distinct(values: Sequence[float]) -> list[str]:
@@ -64,41 +63,52 @@ def _distinct(values: Sequence[float]) -> list[str]:
 
 def csv_line(answer: Answer) -> str:
     """One line, with its end."""
-    cells = [answer.agent, answer.stamp, answer.event, *_place(answer.place).values()]
-    cells += [f"{answer.ess:.1f}", answer.recoveries]
+    cells = [_cell(answer.agent), _cell(answer.stamp), answer.event, *_place(answer.place)]
+    cells += [f"{answer.ess:.1f}", str(answer.recoveries)]
     for best in answer.levels:
-        cells += [best.class_, f"{best.probability:.6f}", best.tracks]
+        cells += [str(best.class_), f"{best.probability:.6f}", str(best.tracks)]
     for _, place in answer.ahead:
-        cells += _place(place).values()
-    return _csv(cells)
+        cells += _place(place)
+    return ",".join(cells) + "\n"
 
 
 def json_line(answer: Answer) -> str:
     """One line, with its end."""
-    row = {
-        "agent": answer.agent,
-        "time": answer.stamp,
-        "event": answer.event,
-        "estimate": _place(answer.place),
-        "ess": round(answer.ess, 1),
-        "recoveries": answer.recoveries,
-        "levels": [
-            {"level": b.level, "class": b.class_, "probability": round(b.probability, 6), "tracks": b.tracks}
-            for b in answer.levels
-        ],
-    }
+    levels = ", ".join(
+        f'{{"level": {level!r}, "class": {best}, "probability": {round(probability, 6)!r}, "tracks": {tracks}}}'
+        for level, best, probability, tracks in answer.levels
+    )
+    text = (
+        f'{{"agent": {_text(answer.agent)}, "time": {_text(answer.stamp)}, "event": "{answer.event}", '
+        f'"estimate": {{{_pairs(answer.place)}}}, "ess": {round(answer.ess, 1)!r}, '
+        f'"recoveries": {answer.recoveries}, "levels": [{levels}]'
+    )
     if answer.ahead:
-        row["forecast"] = [{"seconds": seconds, **_place(place)} for seconds, place in answer.ahead]
-    return json.dumps(row, ensure_ascii=False, allow_nan=False) + "\n"
+        ahead = ", ".join(f'{{"seconds": {seconds!r}, {_pairs(place)}}}' for seconds, place in answer.ahead)
+        text += f', "forecast": [{ahead}]'
+    return text + "}\n"
 
 
-def _place(place: Place) -> dict[str, float]:
+def _place(place: Place) -> list[str]:
+    """The numbers of a place as texts, the sd last."""
     digits = 6 if "lon" in place.names else 3  # 0.1 m, 1 mm
-    out = {name: round(value, digits) for name, value in zip(place.names, place.values, strict=True)}
-    return {**out, "sd": float(f"{place.sd:.4g}")}
+    return [*[repr(round(value, digits)) for value in place.values], repr(float(f"{place.sd:.4g}"))]
 
 
-def _csv(cells: Iterable[Any]) -> str:
-    out = io.StringIO()
-    csv.writer(out, lineterminator="\n").writerow(cells)
-    return out.getvalue()
+def _pairs(place: Place) -> str:
+    return ", ".join(f'"{name}": {value}' for name, value in zip((*place.names, "sd"), _place(place), strict=True))
+
+
+def _text(value: str | float) -> str:
+    """A text or a number in JSON."""
+    return encode_basestring(value) if isinstance(value, str) else repr(value)
+
+
+def _cell(value: str | float) -> str:
+    """A cell of CSV."""
+    if not isinstance(value, str):
+        return repr(value)
+    return '"' + value.replace('"', '""') + '"' if _SPECIAL.search(value) else value
+
+
+_SPECIAL = re.compile('[,"\r\n]')

@@ -1,7 +1,7 @@
 """Observations of many agents as a feed, one line each: CSV or JSON lines; or the points of any file of tracks.
 
-A feed may be endless, so everything here works line by line, and a line that cannot be used costs itself only: it
-comes out as a ``Refused`` that says which field is wrong. docs/cli.md describes the lines.
+A feed may be endless, so everything here works on the lines that are there, and a line that cannot be used costs itself
+only: it comes out as a ``Refused`` that says which field is wrong. docs/cli.md describes the lines.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ from __future__ import annotations
 import csv
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from itertools import chain
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from io import BufferedIOBase
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,9 @@ if TYPE_CHECKING:
     from wakefold.io.report import Report
 
 Form = Literal["csv", "jsonl"]
+Lines = Sequence[tuple[int, bytes]]  # with their numbers
+BLOCK = 1 << 18  # bytes that are read at once: some thousands of lines
+POINTS = 4096  # of tracks, in a block
 BOM = b"\xef\xbb\xbf"
 LONGEST_LINE = 1 << 16  # bytes; an observation is some tens of them
 LONGEST_NAME = 200  # characters of an agent's name
@@ -112,85 +115,101 @@ def header_problem(first: bytes, columns: Mapping[str, str | int] | None = None)
 
 
 def read(
-    lines: Iterable[tuple[int, bytes]],
+    blocks: Iterable[Lines],
     columns: Mapping[str, str | int] | None = None,
     time_format: str | None = None,
-) -> Iterator[Observation | Refused]:
-    """Observations of a feed, as its lines come.
+) -> Iterator[list[Observation | Refused]]:
+    """Observations of a feed, block by block, as its lines come.
 
     Args:
-        lines: numbers from 1, and texts with or without their ends; blank ones are skipped.
+        blocks: lines with their numbers from 1, with or without their ends; blank ones are skipped.
         columns: the feed's names of fields, by ours, where they do not speak for themselves.
         time_format: see ``wakefold.io.times``.
 
     Raises:
         ReadError: the header of a CSV feed does not say who and when.
     """
-    numbered = ((n, line.removeprefix(BOM)) for n, line in lines if line.strip())
-    first = next(numbered, None)
-    if first is None:
-        return
-    if form_of(first[1]) == "jsonl":
-        rows = map(_json_row, chain([first], numbered))
-    else:
-        if problem := header_problem(first[1], columns):
-            raise ReadError(f"observations: {problem}")
-        rows = _csv_rows(first[1], numbered)
-    names = _Names(columns or {})
-    for line, row in rows:
-        try:
-            yield _observation(line, row if isinstance(row, str) else names(row), time_format)
-        except ValueError as error:
-            yield Refused(line, str(error))
+    fields: Callable[[bytes], Mapping[str, Any]] | None = None
+    for block in blocks:
+        lines = [(n, line.removeprefix(BOM)) for n, line in block if line.strip()]
+        if lines and fields is None:
+            first = lines[0][1]
+            if form_of(first) == "jsonl":
+                fields = _JsonFields(columns or {})
+            elif problem := header_problem(first, columns):
+                raise ReadError(f"observations: {problem}")
+            else:
+                fields = _CsvFields(first, columns or {})
+                del lines[0]
+        seen: list[Observation | Refused] = []
+        for n, line in lines:
+            assert fields is not None
+            try:
+                if len(line) > LONGEST_LINE:
+                    raise ValueError(f"line: longer than {LONGEST_LINE:,} bytes")
+                seen.append(_observation(n, fields(line), time_format))
+            except ValueError as error:
+                seen.append(Refused(n, str(error)))
+        if seen:
+            yield seen
 
 
 def is_feed(first: bytes, columns: Mapping[str, str | int] | None = None) -> bool:
     """Whether the first line that is not blank is one of a feed: a header, or an object, that says who and when."""
     if form_of(first) == "csv":
         return header_problem(first, columns) is None
-    row = _json_row((1, first))[1]
-    return isinstance(row, dict) and {"agent", "time"} <= _Names(columns or {}).ours(tuple(row)).keys()
+    try:
+        row = _json_object(first)
+    except ValueError:
+        return False
+    return {"agent", "time"} <= _Names(columns or {}).ours(tuple(row)).keys()
 
 
-def numbered_lines(stream: BinaryIO) -> Iterator[tuple[int, bytes]]:
-    """Lines of a stream with their numbers, each as soon as it is there.
+def blocks_of(stream: BufferedIOBase) -> Iterator[Lines]:
+    """Lines of a stream with their numbers, as many together as are there, without waiting for more.
 
     Of a line longer than ``LONGEST_LINE`` that much and a byte comes, so that ``read`` refuses it.
     """
-    number = 0
-    while line := stream.readline(LONGEST_LINE + 1):
-        number += 1
-        rest = line
-        while len(rest) > LONGEST_LINE and not rest.endswith(b"\n"):
-            rest = stream.readline(LONGEST_LINE + 1)
-        yield number, line
+    first, rest = 1, b""
+    while data := stream.read1(BLOCK):
+        *lines, rest = (rest + data).split(b"\n")
+        rest = rest[: LONGEST_LINE + 1]
+        if lines:
+            yield [(n, line[: LONGEST_LINE + 1]) for n, line in enumerate(lines, first)]
+            first += len(lines)
+    if rest:
+        yield [(first, rest)]
 
 
-def of_tracks(tracks: Tracks) -> Iterator[Observation]:
-    """The points of tracks as fixes of their agents, all in the order of time."""
+def of_tracks(tracks: Tracks) -> Iterator[list[Observation | Refused]]:
+    """The points of tracks as fixes of their agents, all in the order of time, in blocks."""
     owner = np.repeat(np.arange(len(tracks)), tracks.lengths)
     names = tracks.attributes.get("agent", tracks.ids)
     geodetic, dates = tracks.projection is not None, dated(tracks.projection, float(tracks.times.min()))
     places = tracks.projection.to_geodetic(tracks.points) if tracks.projection is not None else tracks.points
+    block: list[Observation | Refused] = []
     for count, row in enumerate(np.argsort(tracks.times, kind="stable"), 1):
         fix = Fix(lon=places[row, 0], lat=places[row, 1]) if geodetic else Fix(places[row])
         time = float(tracks.times[row])
         stamp = str(np.datetime64(round(1000 * time), "ms")) + "Z" if dates else time
-        yield Observation(count, str(names[owner[row]]), time, stamp, fix)
+        block.append(Observation(count, str(names[owner[row]]), time, stamp, fix))
+        if len(block) == POINTS or count == len(owner):
+            yield block
+            block = []
 
 
 # Lines to fields
 
 
-def _json_row(numbered: tuple[int, bytes]) -> tuple[int, dict[str, Any] | str]:
-    line, text = numbered
-    if len(text) > LONGEST_LINE:
-        return line, f"line: longer than {LONGEST_LINE:,} bytes"
+def _json_object(text: bytes) -> dict[str, Any]:
     try:
         row = json.loads(text)
     except (ValueError, RecursionError):
-        return line, f"line: not JSON: {_echo(text[:LONGEST_NAME].decode('utf-8', 'replace').strip())}"
-    return line, row if isinstance(row, dict) else "line: not a JSON object"
+        found = _echo(text[:LONGEST_NAME].decode("utf-8", "replace").strip())
+        raise ValueError(f"line: not JSON: {found}") from None
+    if not isinstance(row, dict):
+        raise ValueError("line: not a JSON object")
+    return row
 
 
 def _layout(header: bytes) -> tuple[str, list[str]]:
@@ -200,21 +219,38 @@ def _layout(header: bytes) -> tuple[str, list[str]]:
     return delimiter, [name.strip() for name in next(csv.reader([text], delimiter=delimiter))]
 
 
-def _csv_rows(header: bytes, rest: Iterable[tuple[int, bytes]]) -> Iterator[tuple[int, dict[str, Any] | str]]:
-    delimiter, names = _layout(header)
-    for line, raw in rest:
-        if len(raw) > LONGEST_LINE:
-            yield line, f"line: longer than {LONGEST_LINE:,} bytes"
-            continue
-        try:
-            cells = next(csv.reader([raw.decode("utf-8", "replace").strip("\r\n")], delimiter=delimiter, strict=True))
-        except csv.Error:
-            yield line, "line: a quotation mark is out of place"
-            continue
-        if len(cells) != len(names):
-            yield line, f"line: {len(cells)} fields, the header has {len(names)}"
-            continue
-        yield line, dict(zip(names, map(str.strip, cells), strict=True))
+class _CsvFields:
+    """The fields of a line of CSV, under our names; those left blank are not there."""
+
+    def __init__(self, header: bytes, columns: Mapping[str, str | int]) -> None:
+        self.delimiter, names = _layout(header)
+        self.width = len(names)
+        at = {name: k for k, name in enumerate(names)}
+        self.places = [(ours, at[name]) for ours, name in _Names(columns).ours(tuple(at)).items()]
+
+    def __call__(self, line: bytes) -> dict[str, str]:
+        text = line.decode("utf-8", "replace").strip("\r\n")
+        if '"' in text or "\r" in text:
+            try:
+                cells = next(csv.reader([text], delimiter=self.delimiter, strict=True))
+            except csv.Error:
+                raise ValueError("line: a quotation mark is out of place") from None
+        else:
+            cells = text.split(self.delimiter)
+        if len(cells) != self.width:
+            raise ValueError(f"line: {len(cells)} fields, the header has {self.width}")
+        return {ours: cell for ours, k in self.places if (cell := cells[k].strip())}
+
+
+class _JsonFields:
+    """The fields of a line of JSON, under our names; those left blank or null are not there."""
+
+    def __init__(self, columns: Mapping[str, str | int]) -> None:
+        self.names = _Names(columns)
+
+    def __call__(self, line: bytes) -> dict[str, Any]:
+        row = _json_object(line)
+        return {ours: row[name] for ours, name in self.names.ours(tuple(row)).items() if row[name] not in (None, "")}
 
 
 class _Names:
@@ -223,10 +259,6 @@ class _Names:
     def __init__(self, columns: Mapping[str, str | int]) -> None:
         self.columns = columns
         self._known: dict[tuple[str, ...], dict[str, str]] = {}
-
-    def __call__(self, row: Mapping[str, Any]) -> dict[str, Any]:
-        theirs = self.ours(tuple(row))
-        return {ours: row[name] for ours, name in theirs.items() if row[name] not in (None, "")}
 
     def ours(self, keys: tuple[str, ...]) -> dict[str, str]:
         """Their name of each of our fields that is there."""
@@ -244,15 +276,14 @@ class _Names:
 # Fields to an observation
 
 
-def _observation(line: int, row: Mapping[str, Any] | str, time_format: str | None) -> Observation:
-    if isinstance(row, str):
-        raise ValueError(row)
+def _observation(line: int, row: Mapping[str, Any], time_format: str | None) -> Observation:
     agent = row.get("agent", row.get("track"))
     if agent is None or isinstance(agent, (bool, dict, list)):
         raise ValueError("agent: missing")
-    if len(str(agent)) > LONGEST_NAME:
+    name = str(agent)
+    if len(name) > LONGEST_NAME:
         raise ValueError(f"agent: longer than {LONGEST_NAME} characters")
-    if any("\ud800" <= character <= "\udfff" for character in str(agent)):  # JSON can write half a character
+    if not name.isascii() and any("\ud800" <= c <= "\udfff" for c in name):  # JSON can write half a character
         raise ValueError(f"agent: {_echo(agent)} is not text")
     if "time" not in row:
         raise ValueError("time: missing")
@@ -271,7 +302,7 @@ def _observation(line: int, row: Mapping[str, Any] | str, time_format: str | Non
         raise ValueError(f"confidence: must be above 0 and at most 1, got {confidence:g}")
     stamp = row["time"] if isinstance(row["time"], (int, float)) else str(row["time"])
     sure = CONFIDENCE if confidence is None else confidence
-    return Observation(line, str(agent), time, stamp, _fix(row), class_, level, sure)
+    return Observation(line, name, time, stamp, _fix(row), class_, level, sure)
 
 
 def _fix(row: Mapping[str, Any]) -> Fix | None:
@@ -328,11 +359,11 @@ def _class(value: Any) -> int | str:
 
 def feed_of(
     path: Path, columns: Columns | None, time_format: str | None, progress: Callable[[int, int], None]
-) -> tuple[Form, Iterator[Observation | Refused], Report | None]:
+) -> tuple[Form, Iterator[list[Observation | Refused]], Report | None]:
     """What a file observes: CSV or JSON lines as they stand, any other format by way of ``read_tracks``.
 
     Returns:
-        the form of the file ("csv" for anything else), its observations, the report of ``read_tracks``.
+        the form of the file ("csv" for anything else), its observations in blocks, the report of ``read_tracks``.
 
     Raises:
         ReadError: neither observations nor tracks.
@@ -341,9 +372,10 @@ def feed_of(
     from wakefold.io.sniff import sniff
     from wakefold.io.source import open_sources
 
-    def feed() -> Iterator[Observation | Refused]:
+    def feed() -> Iterator[list[Observation | Refused]]:
         for source in open_sources(path, progress=progress):
-            yield from read(source.lines(), columns, time_format)
+            blocks = (list(enumerate(block.split(b"\n"), number)) for number, block, _ in source.blocks(BLOCK))
+            yield from read(blocks, columns, time_format)
 
     source = next(iter(open_sources(path)))
     first = next((line for line in source.head.split(b"\n") if line.strip()), b"")

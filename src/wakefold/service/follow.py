@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
+from io import BufferedIOBase
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from wakefold.base.files import opened
 from wakefold.base.wording import counted
 from wakefold.service.album import Album
 from wakefold.service.answers import csv_header, csv_line, json_line
-from wakefold.service.feed import Refused, feed_of, form_of, numbered_lines, read
+from wakefold.service.feed import Refused, blocks_of, feed_of, form_of, read
 from wakefold.service.fleet import Crowd
 
 if TYPE_CHECKING:
     from wakefold.io.read import Columns
     from wakefold.service.feed import Form
 
-TOLD = 20  # refused lines that are named
+_TROUBLE = re.compile(r"[a-z, ]+")  # what is wrong with a line, before all that is its own
 
 
 def run(
@@ -34,7 +36,7 @@ def run(
     progress: Callable[..., None],
     say: Callable[[str], None],
 ) -> int:
-    """Answer every observation of a file (or "-") in a file (or "-"), each line as soon as it can be written.
+    """Answer every observation of a file (or "-") in a file (or "-"), in order, as soon as they can be written.
 
     Args:
         form: of the answers; that of the observations without.
@@ -42,7 +44,7 @@ def run(
         album: collects moments for a picture.
 
     Returns:
-        how many lines were refused; each of the first was said.
+        how many lines were refused; the remarks of the crowd told of them.
 
     Raises:
         ReadError: no observations at all, or none of these agents.
@@ -50,9 +52,10 @@ def run(
     from wakefold.io import ReadError
 
     if observations == "-":
-        lines = numbered_lines(sys.stdin.buffer)
-        first = next(lines, (1, b""))
-        given, feed = form_of(first[1]), read(chain([first], lines), columns, time_format)
+        blocks = blocks_of(cast(BufferedIOBase, sys.stdin.buffer))
+        first = next(blocks, [])
+        given = form_of(next((line for _, line in first if line.strip()), b""))
+        feed = read(chain([first], blocks), columns, time_format)
     else:
         given, feed, report = feed_of(Path(observations), columns, time_format, progress)
         if report is not None:
@@ -66,30 +69,28 @@ def run(
             out.flush()
         line_of = csv_line if form == "csv" else json_line
         try:
-            for seen in feed:
-                if not isinstance(seen, Refused):
-                    if agents and seen.agent not in agents:
-                        continue
-                    if agents:
-                        met.add(seen.agent)
-                    try:
-                        answer, belief = crowd(seen)
-                    except ValueError as error:
-                        seen = Refused(seen.line, str(error))
-                    else:
-                        answered += 1
-                        out.write(line_of(answer))
-                        out.flush()
+            for block in feed:
+                wanted = [seen for seen in block if not agents or isinstance(seen, Refused) or seen.agent in agents]
+                if agents:
+                    met.update(seen.agent for seen in wanted if not isinstance(seen, Refused))
+                for part in crowd(wanted):
+                    lines = []
+                    for one in part:
+                        if isinstance(one, Refused):
+                            refused += 1
+                            trouble = _TROUBLE.match(one.why)
+                            kind = trouble[0].strip(", ") if trouble else "other"
+                            crowd.remarks(f"lines refused ({kind})", f"line {one.line} refused: {one.why}")
+                            continue
+                        lines.append(line_of(one.answer))
                         if album is not None:
-                            album.add(seen, belief, crowd)
-                        continue
-                refused += 1
-                if refused <= TOLD:
-                    say(f"line {seen.line} refused: {seen.why}")
-                elif refused == TOLD + 1:
-                    say("more lines refused, from here on only counted")
+                            album.add(one.seen, one.belief, crowd)
+                    answered += len(lines)
+                    out.write("".join(lines))
+                    out.flush()
         finally:
             tail = f", {counted(refused, 'line')} refused" if refused else ""
+            crowd.remarks.totals()
             say(f"{counted(answered, 'observation')} of {counted(crowd.met, 'agent')} answered{tail}")
     if not answered and not refused:
         raise ReadError(f"{observations}: no observation" + (f" of {_named(agents)}" if agents else ""))
