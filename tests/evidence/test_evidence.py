@@ -105,6 +105,26 @@ def test_a_geodetic_fix_lands_where_the_projection_says():
     assert np.allclose(a.points, [500.0, 100.0])
 
 
+def test_fixes_projected_together_lie_where_they_lie_alone():
+    from wakefold.evidence.fix import on_plane
+    from wakefold.tracks.projection import Projection
+
+    rng = np.random.default_rng(0)
+    place = Projection(-74.0, 40.6)
+    fixes = [wf.Fix(lon=lon, lat=lat, sd=sd) for lon, lat, sd in rng.uniform([-80, 30, 1], [-70, 50, 9], (200, 3))]
+    fixes[50:50] = [None, wf.Fix((1.0, 2.0)), None]
+    moved = on_plane(fixes, place, 2)
+    for fix, there in zip(fixes, moved, strict=True):
+        assert (fix is None) == (there is None)
+        if fix is not None and there is not None:
+            assert there.sd == fix.sd
+            assert there.position is not None
+            np.testing.assert_array_equal(there.position, fix.on_plane(place, 2))  # to the bit
+    assert on_plane(fixes, None, 2) == fixes  # which say themselves why they do not fit
+    assert on_plane(fixes, place, 3) == fixes
+    assert on_plane([], place, 2) == []
+
+
 def test_proper_coarse_likelihood_is_a_distribution_over_the_level(model):
     tree = model.filtration
     for level in np.unique(tree.birth):
