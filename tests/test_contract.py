@@ -36,8 +36,8 @@ LONGEST = 400  # lines of a file
 PUBLIC = {  # what stands here once stays
     "Activity", "BL1", "BL2", "Belief", "Calibrated", "CoarseClass", "Confusion", "ConstantVelocity", "Detections",
     "Deviation", "Filtration", "Fix", "GaussianHMM", "MHPF", "Model", "PairEvidence", "Relation", "RelationalFilter",
-    "RelationalModel", "Sampler", "Scene", "Tracks", "frechet", "frechet_matrix", "learn", "load", "read_tracks",
-    "write_tracks",
+    "RelationalModel", "Sampler", "Scene", "Scores", "Tracks", "frechet", "frechet_matrix", "learn", "load",
+    "read_tracks", "score", "write_tracks",
 }
 # fmt: on
 

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from wakefold.filters.calibrated import Calibrated
     from wakefold.filters.hmm import GaussianHMM
     from wakefold.filters.mhpf import MHPF
+    from wakefold.forecast.score import score
+    from wakefold.forecast.scores import Scores
     from wakefold.io.read import read_tracks
     from wakefold.io.write import write_tracks
     from wakefold.model.deviation import Deviation
@@ -48,12 +50,14 @@ _WHERE = {  # looked up on first use: importing the package costs no numba, pyar
     "RelationalModel": "relations.model",
     "Sampler": "relations.model",
     "Scene": "relations.scene",
+    "Scores": "forecast.scores",
     "Tracks": "tracks.tracks",
     "frechet": "model.linkage.distance",
     "frechet_matrix": "model.linkage.distance",
     "learn": "model.model",
     "load": "model.model",
     "read_tracks": "io.read",
+    "score": "forecast.score",
     "write_tracks": "io.write",
 }
 __all__ = [  # noqa: RUF022 (by subject)
@@ -76,6 +80,8 @@ __all__ = [  # noqa: RUF022 (by subject)
     "Deviation",
     "Confusion",
     "GaussianHMM",
+    "score",
+    "Scores",
     "ConstantVelocity",
     "Sampler",
     "Relation",

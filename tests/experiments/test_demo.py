@@ -10,6 +10,7 @@ import pytest
 import wakefold as wf
 from wakefold.experiments.harbour import demo
 from wakefold.experiments.harbour.report import report_page
+from wakefold.forecast.methods import NAMES
 
 
 def harbour(seed: int, count: int, day: float) -> wf.Tracks:
@@ -47,9 +48,11 @@ def test_a_small_demo_runs_to_the_end(tmp_path: Path, monkeypatch: pytest.Monkey
     assert evidence[:2] == ["nothing yet", "fix"]
     assert evidence[2].startswith("bound for class")
     assert set(evidence[3:]) == {"fix"}
-    assert [row["method"] for row in results["errors"]] == ["MHPF", "BL1", "constant velocity", "nearest track"]
-    for row in results["errors"]:
-        assert all(math.isfinite(row[name]["mean"]) for name in row if name != "method")
+    scores = results["scores"]
+    assert json.loads((tmp_path / "out" / "scores.json").read_text()) == scores
+    assert set(scores["methods"]) == set(NAMES)
+    for rows in scores["methods"].values():
+        assert all(math.isfinite(rows[h]["energy"]) for h in ("300", "900", "1800"))
     page = (tmp_path / "out" / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 3
     assert "http" not in page.replace("http-equiv", "")
@@ -70,7 +73,7 @@ def test_the_report_escapes_names(tmp_path: Path) -> None:
         "position_error": 1.0,
         "forecast_error": {"5 min": {"MHPF": 1.0, "constant velocity": 2.0}},
     }
-    row = {"method": "MHPF", "in 5 min": {"mean": 1.0, "median": 1.0, "answers": 2}}
+    row = {"mean": 1.0, "median": 1.0, "energy": 1.0, "cover50": 0.5, "cover90": 0.9, "n": 2}
     results = {
         "learned": {"voyages": 1, "points": 2, "classes": 3},
         "settings": {"epsilon": 1.0, "scale": 1.0, "sd": 1.0, "particles": 1, "confidence": 0.9, "seed": 0},
@@ -78,12 +81,18 @@ def test_the_report_escapes_names(tmp_path: Path) -> None:
         "levels": [500.0],
         "followed": {"voyage": "<script>", "steps": [step | {"evidence": "fix"}, step]},
         "forecast_at": "06:00:00",
-        "errors": [row],
+        "scores": {
+            "questions": {"horizons": {"300": 2}, "asks": "now"},
+            "methods": {"MHPF": {"300": row}, "<b>": {"300": row | {"n": 1}}},
+        },
+        "verdict": ["best in 5 min by energy score: <b>"],
         "seconds": 1.0,
     }
     page = report_page(results, dict.fromkeys(("tree", "belief", "forecast"), picture))
     assert "<script>" not in page
     assert "&lt;script&gt;" in page
+    assert "<b>:" not in page
+    assert "&lt;b&gt; are slow" in page
 
 
 def test_missing_sample_data_are_said_plainly(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,1 +1,1 @@
-"""Questions about held-out tracks, scores, and plain rivals."""
+"""Questions about held-out tracks, the methods that answer them, and scores of the answers."""

@@ -1,92 +1,230 @@
-"""How well the ships of the demo are followed: every method is asked the same questions about the same voyages.
-
-Of a voyage a fix is given at most every two minutes. After each fix but the first a method says where the ship is at
-the AIS positions before the next fix, which it is never shown, and where it will be in 5 and 15 minutes, as long as the
-voyage lasts.
-"""
+"""What a scoring found: numbers for people and for programs, with intervals over tracks."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
-from wakefold.base.parallel import thread_map
-from wakefold.base.types import Floats
-from wakefold.tracks.tracks import Tracks
+from wakefold.base.remember import Remembers
+from wakefold.base.types import Floats, Ints
+from wakefold.base.wording import counted, duration_text, number_text
+from wakefold.forecast import classes
+from wakefold.forecast.methods import CONSTANT_VELOCITY
+from wakefold.forecast.questions import Questions
+from wakefold.forecast.samples import Judged
 
-EVERY = 120.0  # seconds between fixes at least
-HORIZONS = (300.0, 900.0)
-HEADING = np.cos(np.radians(45.0))  # the nearest track must go about the same way
+RESAMPLES, BLOCKS = 1000, 2000  # of the tracks, for an interval; of so many tracks at most
+INTERVAL = (0.05, 0.95)
 
 
-class Question(NamedTuple):
-    """What is asked after a fix.
+@dataclass(frozen=True, eq=False)
+class Scores(Remembers):
+    """How well each method answered the same questions; made by ``wakefold.score``.
 
     Attributes:
-        row: of the fix, within the voyage.
-        ahead: ``(n,)`` seconds after the fix, rising.
-        truth: ``(n, 2)`` where the ship was then, metres.
-        kind: ``(n,)`` 0 for an AIS position that is not shown, otherwise the horizon.
+        asked: the questions.
+        terms: how they were asked, in plain types.
+        judged: scores of each answer, by method.
+        unanswered: ``(H,)`` by method: how many answers it did not give. Constant velocity's stand for them.
+        levels: ``(L,)`` of the classes, metres.
+        classes: by method that tells classes, ``(T, 3, L, 3)``, see ``wakefold.forecast.classes.Ledger``.
+        speed: questions answered in a second of one core, by method; NaN where it was not measured.
+        settings: what was chosen for each method on past tracks held back, in plain types.
+        notes: what should be known of the numbers.
+        seed: of the intervals.
     """
 
-    row: int
-    ahead: Floats
-    truth: Floats
-    kind: Floats
+    asked: Questions
+    terms: Mapping[str, Any]
+    judged: Mapping[str, Judged]
+    unanswered: Mapping[str, Ints]
+    levels: tuple[float, ...]
+    classes: Mapping[str, Floats]
+    speed: Mapping[str, float]
+    settings: Mapping[str, Mapping[str, Any]]
+    notes: tuple[str, ...] = ()
+    seed: int = 0
+    unit: str = field(default="m")
 
+    @property
+    def methods(self) -> list[str]:
+        """The best first: by the energy score over that of constant velocity, in the geometric mean of the horizons."""
 
-Method = Callable[[str, Floats, Floats, Sequence[Question]], Iterator[Floats]]
-"""From the name, positions ``(n, 2)`` and times ``(n,)`` of a voyage to an answer ``(n, 2)`` for each question, for
-which it reads the rows of the voyage up to the question's."""
+        def worth(name: str) -> float:
+            ratio = self.ratio(name)
+            ratio = ratio[ratio > 0]
+            return float(np.log(ratio).mean()) if len(ratio) else np.inf
 
+        return sorted(self.judged, key=worth)
 
-def questions(points: Floats, times: Floats) -> list[Question]:
-    """One for every fix that is given, the first among them (it asks nothing)."""
-    rows = [0]
-    for row in range(1, len(times)):
-        if times[row] - times[rows[-1]] >= EVERY:
-            rows.append(row)
-    out = []
-    for row, following in zip(rows, [*rows[1:], len(times)], strict=True):
-        now = times[row]
-        hidden = times[row + 1 : following] - now
-        later = np.array([h for h in HORIZONS if now + h <= times[-1]])
-        ahead = np.concatenate([hidden, later])
-        kind = np.concatenate([np.zeros(len(hidden)), later])
-        order = np.argsort(ahead, kind="stable") if row else []  # a first fix tells no velocity: nothing is asked
-        ahead, kind = ahead[order], kind[order]
-        truth = np.stack([np.interp(now + ahead, times, points[:, axis]) for axis in (0, 1)], axis=1)
-        out.append(Question(row, ahead, truth, kind))
-    return out
+    def mean(self, method: str, what: str = "error", than: str | None = None) -> Floats:
+        """``(H,)`` mean "error" or "energy" of a method, or how much more it is than that of another.
 
+        NaN for a horizon for which nothing was asked. Two methods are compared on the questions that both were asked.
+        """
+        values = self._values(method, what, than)
+        known = np.isfinite(values)
+        number = known.sum(axis=0)
+        total = np.where(known, values, 0.0).sum(axis=0)
+        return np.divide(total, number, out=np.full(len(number), np.nan), where=number > 0)
 
-def errors(method: Method, voyages: Tracks, progress: Callable[[float], None] | None = None) -> dict[float, Floats]:
-    """Distances from the truth, metres, of all answers about all voyages: by kind of question."""
+    def interval(self, method: str, what: str = "error", than: str | None = None) -> Floats:
+        """``(H, 2)`` 90 % interval of ``mean``, by a bootstrap over tracks: answers about one are not independent."""
+        values = self._values(method, what, than)
+        known, draws = np.isfinite(values), self._draws
+        sums, counts = (np.zeros((draws.shape[1], values.shape[1])) for _ in range(2))
+        block = self.asked.track * draws.shape[1] // len(self.asked.fixes)
+        np.add.at(sums, block, np.where(known, values, 0.0))
+        np.add.at(counts, block, known)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            means = (draws @ sums) / (draws @ counts)
+        out = np.full((values.shape[1], 2), np.nan)
+        for h in range(len(out)):
+            if len(good := means[np.isfinite(means[:, h]), h]):
+                out[h] = np.quantile(good, INTERVAL)
+        return out
 
-    def one(i: int) -> tuple[Floats, Floats]:
-        points, times = voyages[i], voyages.times_of(i)
-        asked = questions(points, times)
-        given = method(str(voyages.ids[i]), points, times, asked)
-        off = [np.linalg.norm(answer - ask.truth, axis=1) for ask, answer in zip(asked, given, strict=True)]
-        return np.concatenate([ask.kind for ask in asked]), np.concatenate(off)
+    def _values(self, method: str, what: str, than: str | None) -> Floats:
+        values = getattr(self.judged[method], what)
+        return values if than is None else values - getattr(self.judged[than], what)
 
-    found = thread_map(one, range(len(voyages)), progress=progress)
-    kinds, off = (np.concatenate(parts) for parts in zip(*found, strict=True))
-    return {kind: off[kinds == kind] for kind in (0.0, *HORIZONS)}
+    @cached_property
+    def _draws(self) -> Floats:
+        """``(RESAMPLES, T)`` how often each track is drawn; of very many, each of as many blocks of tracks."""
+        tracks = min(len(self.asked.fixes), BLOCKS)
+        rng = np.random.default_rng(self.seed)
+        return rng.multinomial(tracks, np.full(tracks, 1.0 / tracks), RESAMPLES).astype(np.float64)
 
+    def ratio(self, method: str) -> Floats:
+        """``(H,)`` mean energy score of a method over that of constant velocity, for the questions it was asked."""
+        mine = self.mean(method, "energy")
+        plain = mine - self.mean(method, "energy", CONSTANT_VELOCITY)
+        return np.divide(mine, plain, out=np.full(len(mine), np.nan), where=plain > 0)
 
-def summary(found: Mapping[str, Mapping[float, Floats]]) -> list[dict[str, Any]]:
-    """A row for each method: mean and median of its errors, metres, and their number."""
-    names = {0.0: "between fixes", **{h: f"in {h / 60:.0f} min" for h in HORIZONS}}
-    return [
-        {
-            "method": method,
-            **{
-                names[kind]: {"mean": float(off.mean()), "median": float(np.median(off)), "answers": len(off)}
-                for kind, off in by_kind.items()
+    def best(self, h: int, but: str | None = None) -> str | None:
+        """The method, or of all but one, that has the least ``ratio`` for the h-th horizon."""
+        ratios = {name: self.ratio(name)[h] for name in self.judged if name != but}
+        ratios = {name: ratio for name, ratio in ratios.items() if np.isfinite(ratio)}
+        return min(ratios, key=lambda name: ratios[name]) if ratios else None
+
+    def to_dict(self) -> dict[str, Any]:
+        """All numbers in plain types, ready for JSON: metres and seconds.
+
+        Under "methods" stand for each horizon the mean and median error, the energy score, the shares of truths in the
+        50 % and 90 % regions, the number of questions and of answers not given, the 90 % interval of the mean, and
+        under "more than" the difference from constant velocity and from the best other method, with its interval.
+        """
+        asked = self.asked
+        about = {**self.terms, "tracks": len(asked.fixes), "fixes": len(asked.fixes.points), "moments": len(asked)}
+        about["horizons"] = {f"{h:g}": int(n) for h, n in zip(asked.horizons, asked.asked, strict=True)}
+        return {
+            "questions": about,
+            "methods": {name: self._rows(name) for name in self.methods},
+            "classes": {
+                name: {f"{b:g}": classes.summary(found[:, :, k]) for k, b in enumerate(self.levels)}
+                for name, found in self.classes.items()
             },
+            "speed": {name: float(f"{value:.4g}") for name, value in self.speed.items() if np.isfinite(value)},
+            "settings": {name: dict(setting) for name, setting in self.settings.items()},
+            "notes": list(self.notes),
         }
-        for method, by_kind in found.items()
-    ]
+
+    def _rows(self, name: str) -> dict[str, dict[str, Any]]:
+        """What ``to_dict`` tells of one method."""
+        found, out, interval = self.judged[name], {}, self.interval(name)
+        for h, seconds in enumerate(self.asked.horizons):
+            known = np.isfinite(found.error[:, h])
+            if not known.any():
+                continue
+            others = [other for other in (CONSTANT_VELOCITY, self.best(h, but=name)) if other not in (None, name)]
+            out[f"{seconds:g}"] = {
+                "mean": float(found.error[known, h].mean()),
+                "median": float(np.median(found.error[known, h])),
+                "energy": float(found.energy[known, h].mean()),
+                "cover50": float(found.within(0.5)[known, h].mean()),
+                "cover90": float(found.within(0.9)[known, h].mean()),
+                "n": int(known.sum()),
+                "unanswered": int(self.unanswered[name][h]),
+                "interval": interval[h].tolist(),
+                "more than": {other: self._more(name, str(other), h) for other in others},
+            }
+        return out
+
+    def _more(self, name: str, other: str, h: int) -> dict[str, list[float]]:
+        """How much more error and energy a method has than another, and the ends of the 90 % interval."""
+        return {
+            what: [float(self.mean(name, what, other)[h]), *self.interval(name, what, other)[h].tolist()]
+            for what in ("error", "energy")
+        }
+
+    # For people
+
+    def table(self) -> str:
+        """A few lines that say which method is best, and a table for each horizon and level."""
+        asked, found = self.asked, self.to_dict()
+        lines = [*self.verdict(), "", self.said()]
+        wide = max(map(len, [*self.methods, *self.classes, "method"])) + 2
+        head = f"{'method':<{wide}}{'mean':>10}{'median':>10}{'energy':>10}{'50 %':>7}{'90 %':>7}{'no answer':>11}"
+        for h, seconds in enumerate(asked.horizons):
+            if not asked.asked[h]:
+                continue
+            lines += ["", f"in {duration_text(seconds)}: {counted(int(asked.asked[h]), 'question')}", head]
+            rows = {name: found["methods"][name][f"{seconds:g}"] for name in self.methods}
+            for name in sorted(rows, key=lambda name: rows[name]["energy"]):
+                row = rows[name]
+                numbers = "".join(f"{number_text(row[what], 3):>10}" for what in ("mean", "median", "energy"))
+                cover = "".join(f"{row[what]:>7.2f}" for what in ("cover50", "cover90"))
+                lines.append(f"{name:<{wide}}{numbers}{cover}{row['unanswered'] or '':>11}")
+        lines += self._of_classes(found["classes"], wide)
+        speeds = ", ".join(
+            f"{name} {number_text(found['speed'][name])}" for name in self.methods if name in found["speed"]
+        )
+        if speeds:
+            lines += ["", f"questions a second of one core: {speeds}"]
+        return "\n".join(lines + [f"note: {note}" for note in self.notes])
+
+    def said(self) -> str:
+        """What the numbers are."""
+        return (
+            f"mean and median error and energy score in {self.unit}, share of truths in the 50 % and the 90 % region; "
+            f"{self.terms['asks']}"
+        )
+
+    def verdict(self) -> list[str]:
+        """Which method is best at which horizons by its energy score, and by how much."""
+        places: dict[str, list[int]] = {}
+        for h in np.flatnonzero(self.asked.asked).tolist():
+            places.setdefault(str(self.best(h)), []).append(h)
+        lines = []
+        for name, rows in places.items():
+            when = ", ".join(duration_text(self.asked.horizons[h]) for h in rows)
+            lines.append(f"best in {when} by energy score: {name}")
+            for h in rows:
+                if (other := self.best(h, but=name)) is None:
+                    continue
+                share = 1.0 - self.ratio(name)[h] / self.ratio(other)[h]
+                sure = self.interval(name, "energy", other)[h, 1] < 0
+                doubt = "" if sure else ", which may be chance"
+                lines.append(f"  in {duration_text(self.asked.horizons[h])} {share:.0%} below {other}{doubt}")
+        return lines
+
+    def _of_classes(self, found: dict[str, Any], wide: int) -> list[str]:
+        lines: list[str] = []
+        for level in (f"{b:g}" for b in self.levels):
+            head = "".join(f"{f'{share:.0%}: -log p':>16}{'right':>8}{'cal.':>8}" for share in classes.SHARES)
+            lines += [
+                "",
+                f"class of the whole track at {level} {self.unit}, after a share of it",
+                f"{'method':<{wide}}{head}",
+            ]
+            for name in sorted(found, key=lambda name: found[name][level].get("50", {}).get("nll", np.inf)):
+                cells = [found[name][level].get(f"{100 * share:.0f}") for share in classes.SHARES]
+                text = "".join(
+                    f"{c['nll']:>16.2f}{c['accuracy']:>8.0%}{c['ece']:>8.2f}" if c else f"{'':>32}" for c in cells
+                )
+                lines.append(f"{name:<{wide}}{text}")
+        return lines

@@ -6,6 +6,7 @@ or to choose a setting: the settings below were chosen on 7 December by ``python
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable
 from datetime import UTC, datetime
@@ -21,10 +22,13 @@ from wakefold.evidence.coarse import CONFIDENCE, CoarseClass
 from wakefold.evidence.fix import Fix
 from wakefold.experiments.harbour.report import report_page
 from wakefold.filters.belief import Belief
-from wakefold.filters.bootstrap import BL1
+from wakefold.filters.bootstrap import BL1, BL2
 from wakefold.filters.mhpf import MHPF
-from wakefold.forecast.rivals import constant_velocity, nearest_track, particle
-from wakefold.forecast.scores import EVERY, HORIZONS, Question, errors, questions, summary
+from wakefold.forecast.followed import Filter
+from wakefold.forecast.methods import NAMES
+from wakefold.forecast.questions import ask
+from wakefold.forecast.rivals import ConstantVelocity
+from wakefold.forecast.score import EVERY, score
 from wakefold.io import read_tracks
 from wakefold.model.linkage.distance import distances_from
 from wakefold.model.model import Model, learn
@@ -37,6 +41,8 @@ EPSILON = 300.0  # metres
 SCALE, SD = 8.0, 50.0  # m/sqrt(s), metres; chosen on 7 December
 PARTICLES, DEPLETION = 500, 0.0009  # so small a share redraws no class at random, but lets a recovery find any
 LEVELS = 3
+HORIZONS = (300.0, 900.0)  # seconds: of the ship that is shown
+FOLLOWER = "MHPF"  # the filter that is shown
 
 
 class Step(NamedTuple):
@@ -49,7 +55,7 @@ class Step(NamedTuple):
         belief: after the evidence.
         truth: ``(2,)`` metres.
         position_error: of the estimate after the evidence, metres.
-        ahead: by horizon: error of the forecast and of constant velocity, metres; where the voyage lasts that long.
+        ahead: by horizon, s: error of the forecast and of constant velocity, metres; where the voyage lasts that long.
     """
 
     time: float
@@ -102,6 +108,16 @@ def teach(past: Tracks, scale: float = SCALE) -> Model:
     return learn(past.resample(spacing=SPACING), epsilon=EPSILON, scale=scale)
 
 
+def filters(model: Model) -> dict[str, Filter]:
+    """The filters whose settings were chosen on 7 December, by the names of the methods."""
+    settings: dict[str, Any] = {"depletion": DEPLETION, "sd": SD, "seed": SEED}
+    return {
+        "BL1": BL1(model, PARTICLES, **settings),
+        "BL2": BL2(model, **settings),  # slow: fewer particles
+        "MHPF": MHPF(model, PARTICLES, levels=[], **settings),  # levels do not change the base estimate
+    }
+
+
 def chosen(held_out: Tracks) -> int:
     """The voyage that is followed in the pictures: of those of one to two hours, the one that gets farthest."""
     fits = (held_out.duration >= 3600) & (held_out.duration <= 7200)
@@ -116,44 +132,41 @@ def destined(model: Model, voyage: Floats, level: float) -> int:
     return model.filtration.class_at(int(np.argmin(away)), level)
 
 
-def follow(model: Model, name: str, points: Floats, times: Floats) -> list[Step]:
+def follow(model: Model, voyage: Tracks) -> list[Step]:
     """Follow one voyage with a fix every two minutes and, on departure, the report of its class at the coarsest level.
 
     Returns:
         a step for the prior (class and position unknown), one for each fix, one for the report.
     """
-    tree = model.filtration
+    tree, name = model.filtration, str(voyage.ids[0])
     levels = tree.levels(LEVELS).tolist()
-    f = MHPF(model, PARTICLES, levels=levels, depletion=DEPLETION, seed=SEED)
-    truly = CoarseClass(destined(model, points, levels[-1]), levels[-1], CONFIDENCE)
-    asked = questions(points, times)
-    naive = list(constant_velocity(name, points, times, asked))
+    f: Any = filters(model)[FOLLOWER]
+    truly = CoarseClass(destined(model, voyage[0], levels[-1]), levels[-1], CONFIDENCE)
+    asked = ask(voyage, HORIZONS, EVERY, 0.0)
+    places, times = asked.fixes.points, asked.fixes.times.tolist()
+    naive = ConstantVelocity(EVERY).ensemble(asked)[:, :, 0]
 
     def step(belief: Belief, row: int, evidence: str, ahead: dict[float, tuple[float, float]]) -> Step:
+        point = places[row]
         best = [next(iter(belief.level(b))) for b in levels]
-        off = float(np.linalg.norm(belief.mean() - points[row]))
+        off = float(np.linalg.norm(belief.mean() - point))
         classes = [(b.class_, b.probability, b.size) for b in best]
-        return Step(float(times[row]), evidence, classes, belief, points[row], off, ahead)
+        return Step(times[row], evidence, classes, belief, point, off, ahead)
 
     out = [step(f.start(time=times[0], agent=name), 0, "nothing yet", {})]
-    belief = f.start(fix=Fix(points[0], sd=SD), time=times[0], agent=name)
-    for ask, ours in zip(asked, naive, strict=True):
-        if ask.row:
-            belief = f.step(belief, [Fix(points[ask.row], sd=SD)], time=times[ask.row])
-        out.append(step(belief, ask.row, "fix", _ahead(f, belief, ask, ours)))
-        if not ask.row:
-            belief = f.step(belief, [truly], dt=0.0)
-            out.append(step(belief, 0, f"bound for class {truly.class_}", {}))
-    return out
-
-
-def _ahead(f: MHPF, belief: Belief, ask: Question, naive: Floats) -> dict[float, tuple[float, float]]:
-    """Errors of the forecasts that the rest of the voyage can tell, and those of constant velocity."""
-    out = {}
-    for row in np.flatnonzero(ask.kind > 0):
-        ours = f.forecast(belief, float(ask.ahead[row])).mean()
-        off = [float(np.linalg.norm(place - ask.truth[row])) for place in (ours, naive[row])]
-        out[float(ask.kind[row])] = (off[0], off[1])
+    belief = f.start(fix=Fix(places[0]), time=times[0], agent=name)
+    out.append(step(belief, 0, "fix", {}))
+    belief = f.step(belief, [truly], dt=0.0)
+    out.append(step(belief, 0, f"bound for class {truly.class_}", {}))
+    for row in range(1, len(times)):
+        belief = f.step(belief, [Fix(places[row])], time=times[row])
+        ahead = {}
+        for q in np.flatnonzero(asked.row == row):
+            for h in np.flatnonzero(np.isfinite(asked.truth[q, :, 0])):
+                ours, truth = f.forecast(belief, float(asked.horizons[h])).mean(), asked.truth[q, h]
+                off = [float(np.linalg.norm(place - truth)) for place in (ours, naive[q, h])]
+                ahead[float(asked.horizons[h])] = (off[0], off[1])
+        out.append(step(belief, row, "fix", ahead))
     return out
 
 
@@ -181,30 +194,20 @@ def run(out: Path, progress: Callable[..., None], show: Callable[[str], None]) -
     progress(0.15)
     one = chosen(held_out)
     name, points, times = str(held_out.ids[one]), held_out[one], held_out.times_of(one)
-    steps = follow(model, name, points, times)
+    steps = follow(model, held_out.select([one]))
     progress(0.3)
     show(f"followed {name}, 8 December: {held_out.length[one] / 1000:.1f} km, a fix every {EVERY / 60:.0f} min")
     levels = tree.levels(LEVELS).tolist()
     for line in table(steps, levels):
         show(line)
 
-    methods = {
-        "MHPF": particle(
-            MHPF(model, PARTICLES, levels=[], depletion=DEPLETION, seed=SEED), SD
-        ),  # levels do not change the base estimate
-        "BL1": particle(BL1(model, PARTICLES, depletion=DEPLETION, seed=SEED), SD),
-        "constant velocity": constant_velocity,
-        "nearest track": nearest_track(model.tracks),
-    }
-    found = {}
-    for count, (method, answers) in enumerate(methods.items()):
-        found[method] = errors(answers, held_out)
-        progress(0.3 + 0.15 * (count + 1))
-    rows = summary(found)
-    fixes = sum(len(questions(held_out[i], held_out.times_of(i))) for i in range(len(held_out)))
-    show(f"\nall {len(held_out)} voyages of 8 December, {fixes:,} fixes, seed {SEED}; errors in metres, mean (median)")
-    for line in summary_table(rows):
-        show(line)
+    methods: dict[str, Any] = {**dict.fromkeys(NAMES), **filters(model)}
+    scores = score(
+        model, held_out, methods=methods, levels=levels, seed=SEED, progress=lambda share: progress(0.3 + 0.6 * share)
+    )
+    show(f"\nall {len(held_out)} voyages of 8 December, seed {SEED}\n{scores.table()}")
+    told = scores.to_dict()
+    (out / "scores.json").write_text(json.dumps(told, indent=1, allow_nan=False), encoding="utf-8")
 
     pictures, drawn = draw(out, model, steps, levels, points, times)
     results = {
@@ -218,11 +221,12 @@ def run(out: Path, progress: Callable[..., None], show: Callable[[str], None]) -
             "confidence": CONFIDENCE,
             "seed": SEED,
         },
-        "held_out": {"voyages": len(held_out), "fixes": fixes},
+        "held_out": {"voyages": len(held_out), "fixes": len(scores.asked.fixes.points)},
         "levels": levels,
         "followed": {"voyage": name, "steps": [_plain(step) for step in steps]},
         "forecast_at": drawn,
-        "errors": rows,
+        "scores": told,
+        "verdict": scores.verdict(),
         "seconds": round(time.perf_counter() - begin, 1),
     }
     page = out / "report.html"
@@ -248,16 +252,6 @@ def table(steps: list[Step], levels: list[float]) -> list[str]:
     return lines
 
 
-def summary_table(rows: list[dict[str, Any]]) -> list[str]:
-    """The errors of every method in lines of text."""
-    names = [name for name in rows[0] if name != "method"]
-    lines = [f"{'':<20}" + "".join(f"{name:>18}" for name in names)]
-    for row in rows:
-        cells = [f"{row[name]['mean']:,.0f} ({row[name]['median']:,.0f})" for name in names]
-        lines.append(f"{row['method']:<20}" + "".join(f"{cell:>18}" for cell in cells))
-    return [*lines, f"{'answers':<20}" + "".join(f"{rows[0][name]['answers']:>18,}" for name in names)]
-
-
 def draw(
     out: Path, model: Model, steps: list[Step], levels: list[float], points: Floats, times: Floats
 ) -> tuple[dict[str, Path], str]:
@@ -275,7 +269,7 @@ def draw(
     fixes = np.array([step.truth for step in steps[: last + 1] if step.evidence == "fix"])
     now, before = steps[last], steps[last - 1]
     velocity = (now.truth - before.truth) / (now.time - before.time)
-    f = MHPF(model, PARTICLES, levels=[], depletion=DEPLETION, seed=SEED)
+    f: Any = filters(model)[FOLLOWER]
     ahead = []
     for h, later in zip(HORIZONS, f.forecast(now.belief, list(HORIZONS)), strict=True):
         there = np.array([np.interp(now.time + h, times, points[:, axis]) for axis in (0, 1)])
@@ -305,7 +299,7 @@ def _plain(step: Step) -> dict[str, Any]:
         "recoveries": step.belief.recoveries,
         "position_error": round(step.position_error, 1),
         "forecast_error": {
-            f"{h / 60:.0f} min": {"MHPF": round(a, 1), "constant velocity": round(b, 1)}
+            f"{h / 60:.0f} min": {FOLLOWER: round(a, 1), "constant velocity": round(b, 1)}
             for h, (a, b) in step.ahead.items()
         },
     }

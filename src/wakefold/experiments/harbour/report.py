@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -57,13 +57,16 @@ forecasts for 5 and 15 minutes from where it was then (c.v.: at constant velocit
 {_effect(results)}
 
 <h2>All voyages of 8 December</h2>
-<p>{held_out["voyages"]:,} voyages, {held_out["fixes"]:,} fixes two minutes apart or more. The AIS positions between two
-fixes are held back: “between fixes” is the distance from them. Forecasts are scored as long as the voyage lasts. Mean
-and (median) error in metres; the best of each column is bold.</p>
-{_errors(results["errors"])}
-<p class="note">MHPF: the multiscale filter, rule arxiv2016. BL1: the bootstrap filter along single tracks. Nearest
-track: on along the past track that is nearest and goes the same way. Fixes are AIS positions as received; the filters
-take them to have a standard deviation of {settings["sd"]:g} m. {settings["particles"]:,} particles, ε
+<p>{held_out["voyages"]:,} voyages, {held_out["fixes"]:,} fixes two minutes apart or more. After each fix but the first
+every method says where the ship will be, as long as the voyage lasts, by 100 samples.
+{escape(_sentence(results["verdict"]))} The best of each column is bold.</p>
+{_errors(results["scores"])}
+<p class="note">{escape(results["scores"]["questions"]["asks"])}. Error: mean and (median) distance of the geometric
+median of the samples from where the ship was, metres. Energy score: mean distance of a sample from there less half the
+mean distance of two samples; it is small for answers that are near and that say how sure they are. 50 %, 90 %: how
+often the ship was in the region of that probability. Plain methods are dressed with what they were wrong by on
+voyages of the week held back from their memory. {_slow(results["scores"])}Fixes are AIS positions as received; BL1,
+BL2 and MHPF take them to have a standard deviation of {settings["sd"]:g} m. {settings["particles"]:,} particles, ε
 {settings["epsilon"]:g} m, motion noise {settings["scale"]:g} m/√s, chosen on 7 December with a model of 1–6 December.
 Seed {settings["seed"]}. Made in {results["seconds"]:.0f} s.</p>
 </body></html>
@@ -106,21 +109,42 @@ def _effect(results: Mapping[str, Any]) -> str:
     return f"<p>The coarse report moved the most probable class {'; '.join(parts)}.</p>"
 
 
-def _errors(rows: list[dict[str, Any]]) -> str:
-    names = [name for name in rows[0] if name != "method"]
-    least = {(name, what): min(row[name][what] for row in rows) for name in names for what in ("mean", "median")}
+def _sentence(verdict: Sequence[str]) -> str:
+    return " ".join(line.strip()[:1].upper() + line.strip()[1:] + "." for line in verdict)
+
+
+def _slow(scores: Mapping[str, Any]) -> str:
+    """Which methods were asked about some fixes only."""
+    most = max(sum(row["n"] for row in rows.values()) for rows in scores["methods"].values())
+    few = [name for name, rows in scores["methods"].items() if sum(row["n"] for row in rows.values()) < most]
+    return f"{escape(' and '.join(few))} are slow and were asked after some of the fixes only. " if few else ""
+
+
+def _errors(scores: Mapping[str, Any]) -> str:
+    """A row for each method, four columns for each horizon."""
+    methods, horizons = scores["methods"], list(scores["questions"]["horizons"])
+    head = "".join(f"<th colspan=4>in {float(h) / 60:.0f} min</th>" for h in horizons)
+    under = "<th>error</th><th>energy</th><th>50 %</th><th>90 %</th>" * len(horizons)
+    least = {
+        (h, what): min(rows[h][what] for rows in methods.values() if h in rows)
+        for h in horizons
+        for what in ("mean", "energy")
+    }
     body = []
-    for row in rows:
-        cells = [f"<td>{escape(row['method'])}</td>"]
-        for name in names:
-            mean, median = (
-                f'<span class="best">{row[name][what]:,.0f}</span>'
-                if row[name][what] == least[name, what]
-                else f"{row[name][what]:,.0f}"
-                for what in ("mean", "median")
+    for name, rows in methods.items():
+        cells = [f"<td>{escape(name)}</td>"]
+        for h in horizons:
+            if h not in rows:
+                cells.append("<td></td>" * 4)
+                continue
+            row = rows[h]
+            mean, energy = (
+                f'<span class="best">{row[what]:,.0f}</span>' if row[what] == least[h, what] else f"{row[what]:,.0f}"
+                for what in ("mean", "energy")
             )
-            cells.append(f"<td>{mean} ({median})</td>")
+            cells.append(f"<td>{mean} ({row['median']:,.0f})</td><td>{energy}</td>")
+            cells.append(f"<td>{row['cover50']:.0%}</td><td>{row['cover90']:.0%}</td>")
         body.append(f"<tr>{''.join(cells)}</tr>")
-    counts = "".join(f"<td>{rows[0][name]['answers']:,}</td>" for name in names)
-    head = "<th></th>" + "".join(f"<th>{escape(name)}</th>" for name in names)
-    return f"<table><tr>{head}</tr>{''.join(body)}<tr><td>answers</td>{counts}</tr></table>"
+    counts = "".join(f"<td colspan=4>{n:,}</td>" for n in scores["questions"]["horizons"].values())
+    body.append(f"<tr><td>questions</td>{counts}</tr>")
+    return f"<table><tr><th></th>{head}</tr><tr><th></th>{under}</tr>{''.join(body)}</table>"
