@@ -40,6 +40,10 @@ MORE = {  # what stands in no `wakefold.X`: package -> (title, module, names; al
             ["crowd", "Crowd", "fit", "TogetherFit", "SceneConstants"],
         ),
     ],
+    "forecast": [
+        ("Questions and answers", "forecast.questions", ["Questions", "ask"]),
+        ("Samples, scored", "forecast.samples", ["judged", "Judged"]),
+    ],
     "filters": [
         ("What particle filters share", "filters.particles", ["ParticleFilter"]),
         (
@@ -318,7 +322,8 @@ def pages() -> dict[str, str]:
         *TYPES.splitlines(),
         "",
     ]
-    for package in ("io", "tracks", "model", "evidence", "filters", "relations", "plot", "experiments", "base"):
+    packages = "io tracks model evidence filters forecast relations plot experiments base"
+    for package in packages.split():
         about = prose(inspect.getdoc(import_module(f"wakefold.{package}")) or "")
         own = [(f"wf.{name}", name, thing) for name, thing in face.items() if package_of(thing) == package]
         lines = [f"# wakefold.{package}", "", about, "", "[All pages](../api.md)", ""]

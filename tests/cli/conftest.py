@@ -17,6 +17,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
         "monday.csv": harbour(),
         "tuesday.csv": harbour(0.0001).replace("ship", "boat"),
         "wednesday.csv": harbour(0.0002).replace("2020-12-0", "2020-12-1"),
+        "held-out.csv": harbour(0.0002).replace("ship", "later"),
         "people.csv": people(),
         "fixes.csv": fixes(),
     }.items():

@@ -16,7 +16,7 @@ import wakefold as wf
 from wakefold import cli
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-COMMANDS = ("learn", "track", "show", "info", "demo", "relations", "reproduce")
+COMMANDS = ("learn", "track", "score", "show", "info", "demo", "relations", "reproduce")
 
 
 def examples() -> list[str]:

@@ -15,6 +15,7 @@ from wakefold.cli.info import info
 from wakefold.cli.learn import learn
 from wakefold.cli.relations import relations
 from wakefold.cli.reproduce import reproduce
+from wakefold.cli.score import score
 from wakefold.cli.show import show
 from wakefold.cli.track import track
 
@@ -50,7 +51,7 @@ def _options(
         raise typer.Exit
 
 
-for command in (learn, track, show, info, relations, demo, reproduce):  # the order of --help
+for command in (learn, track, score, show, info, relations, demo, reproduce):  # the order of --help
     app.command()(command)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -60,7 +61,7 @@ def learn(
             "with longitudes and latitudes of the tracks that get farther than 1 km, and between 20 m and 200 m."
         ),
     ] = "auto",
-    max_gap: Annotated[str, typer.Option(help="Cut a track where its agent is silent for longer.")] = "30min",
+    max_gap: Annotated[str, typer.Option(help="Cut a track where its agent is silent for longer.")] = options.MAX_GAP,
     max_speed: Annotated[
         float | None,
         opt("Cut a track where getting to its next point takes more than this, metres per second."),
@@ -69,7 +70,9 @@ def learn(
         str | None,
         opt("Cut a track where its agent stays within RADIUS for TIME, given as RADIUS,TIME: 150m,10min."),
     ] = None,
-    min_length: Annotated[str, typer.Option(help="Leave out tracks that are shorter, such as 1km.")] = "0",
+    min_length: Annotated[
+        str, typer.Option(help="Leave out tracks that are shorter, such as 1km.")
+    ] = options.MIN_LENGTH,
     linkage: Annotated[LinkageName, typer.Option(help="How tracks are joined into classes.")] = LinkageName.single,
     epsilon: Annotated[
         str | None,
@@ -120,16 +123,13 @@ def learn(
     if linkage is LinkageName.complete and executor is not ExecutorName.threads:
         options.wrong("--executor", "complete linkage runs on the threads of this machine")
     step = None if spacing == "auto" else options.length("--spacing", spacing)
-    cuts = {"max_gap": options.duration("--max-gap", max_gap), "max_speed": max_speed, **options.stop(stop)}
-    if max_speed is not None and not max_speed > 0:
-        options.wrong("--max-speed", "must be above 0")
-    shortest = options.length("--min-length", min_length, zero=True)
+    cuts = options.cuts(max_gap, max_speed, stop, min_length)
     radius = None if epsilon is None else options.length("--epsilon", epsilon)
     with progress("reading") as update:
         read, report = wf.read_tracks(tracks, columns=names, time_format=time_format, progress=update)
     show = say if json_ else print
     show(str(report))
-    pieces = read.segment(**cuts).filter(min_length=shortest)
+    pieces = options.cut(read, cuts)
     if not len(pieces):
         fail("no track is left to learn from: " + "; ".join(pieces.notes))
     remarks = sparse(read, cuts["max_gap"]), at_rest(pieces), impossible(pieces)
@@ -154,7 +154,7 @@ def learn(
             executor=None if executor is ExecutorName.threads else options.ray_workers(threads),
             checkpoint=checkpoint,
         )
-    shaping = {**dict.fromkeys(SHAPING), **cuts, "min_length": shortest, "spacing": step}
+    shaping = {**dict.fromkeys(SHAPING), **cuts, "spacing": step}
     with naming(output):
         replace(model, shaping=shaping).save(output)
     tree = model.filtration

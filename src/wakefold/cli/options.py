@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn, TypeVar
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from wakefold.base.parallel import Executor
     from wakefold.model.filtration import Filtration
     from wakefold.service.feed import Form
+    from wakefold.tracks.tracks import Tracks
 
 T = TypeVar("T")
 MOST_LEVELS = 20  # that are asked for by number; a larger number is a height without its unit
@@ -41,6 +42,7 @@ TimeFormat = Annotated[
         "ISO 8601 and seconds."
     ),
 ]
+MAX_GAP, MIN_LENGTH = "30min", "0"  # what cuts a track and what it must have, if nothing is said
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, for a program to read.")]
 
 
@@ -103,9 +105,9 @@ def heights(asked: int | list[float], tree: Filtration) -> list[float]:
     return tree.levels(asked).tolist() if isinstance(asked, int) else asked
 
 
-def horizons(text: str) -> list[float]:
+def horizons(text: str, option: str = "--forecast") -> list[float]:
     """``5min,15min`` in seconds, rising, each once."""
-    return sorted({duration("--forecast", part) for part in text.split(",")}) if text.strip() else []
+    return sorted({duration(option, part) for part in text.split(",")}) if text.strip() else []
 
 
 def columns(text: str) -> dict[str, str | int] | None:
@@ -140,6 +142,21 @@ def stop(text: str | None) -> dict[str, Any]:
     if not comma:
         wrong("--stop", f"{text!r} is not a radius and a time such as 150m,10min")
     return {"stop_radius": length("--stop", radius), "stop_time": duration("--stop", time)}
+
+
+def cuts(max_gap: str | None, max_speed: float | None, stop_: str | None, min_length: str | None) -> dict[str, float]:
+    """How tracks are cut from what was recorded, by what was said, as a model keeps it."""
+    out: dict[str, float] = {} if max_gap is None else {"max_gap": duration("--max-gap", max_gap)}
+    if max_speed is not None:
+        out["max_speed"] = max_speed if max_speed > 0 else wrong("--max-speed", "must be above 0")
+    out |= stop(stop_)
+    return out if min_length is None else out | {"min_length": length("--min-length", min_length, zero=True)}
+
+
+def cut(tracks: Tracks, cuts: Mapping[str, float]) -> Tracks:
+    """Tracks cut as a model keeps it: by the settings of ``Tracks.segment``, without those under ``min_length``."""
+    settings: dict[str, Any] = {name: value for name, value in cuts.items() if name != "min_length"}
+    return tracks.segment(**settings).filter(min_length=cuts.get("min_length", 0.0))
 
 
 def ray_workers(workers: int | None) -> Executor:

@@ -22,7 +22,7 @@ from wakefold.tracks.tracks import Tracks
 
 Which = Literal["all", "first"]
 SHARES = (0.25, 0.5, 0.75)  # of the duration of a track: when its class is asked for
-ROUNDING = 1e-6  # of the time between fixes: clocks count in steps that are no whole numbers
+ROUNDING = 1e-3  # of the time between fixes: clocks count in steps that are no whole numbers, some in single precision
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -42,7 +43,7 @@ def score(
     after: Duration | None = None,
     questions: Which = "all",
     levels: Sequence[float] | None = None,
-    methods: Sequence[str] | Mapping[str, Filter] | None = None,
+    methods: Sequence[str] | Mapping[str, Filter | None] | None = None,
     whole: bool = False,
     seed: int = 0,
     progress: Progress | None = None,
@@ -54,9 +55,9 @@ def score(
     Args:
         model: learned from other tracks.
         tracks: held out, as they were recorded, in two coordinates; of the model's kind, geodetic or planar.
-        horizons: seconds ahead, or such as "5min"; for ships 5, 15, 30 and 60 minutes, otherwise from their duration.
-        every: time between fixes at least; for ships 2 minutes, otherwise the sampling interval.
-        after: age of a track from which on questions are asked; for ships 2 minutes, otherwise four times ``every``.
+        horizons: seconds ahead, or such as "5min"; for geodetic tracks 5, 15, 30 and 60 minutes, otherwise from their duration.
+        every: time between fixes at least; for geodetic tracks 2 minutes, otherwise the sampling interval.
+        after: age of a track from which on questions are asked; for geodetic tracks 2 minutes, otherwise four times ``every``.
         questions: "all", or the "first" of each track alone.
         levels: of classes, metres; three picked by entropy by default.
         methods: names of ``wakefold.forecast.methods.NAMES``, all by default; or filters by a name, taken as they are
@@ -85,7 +86,7 @@ def score(
         )
     heights = model.filtration.levels(LEVELS).tolist() if levels is None else sorted({float(b) for b in levels})
     tell = progress or _silent
-    shop = Workshop(model, (asked.horizons.tolist(), step, age), heights, seed)
+    shop = Workshop(model, (asked.horizons.tolist(), step, age, questions), heights, seed)
     made = _made(shop, methods, lambda share: tell(0.3 * share))
     truth = classes.nearest_past(model, held_out) if heights else np.zeros(len(held_out), dtype=np.int64)
     found: dict[str, Found] = {}
@@ -113,6 +114,7 @@ def score(
         told,
         {name: each.speed for name, each in found.items()},
         {method.name: method.setting for method in made if method.setting},
+        {method.name: partial(_again, method) for method in made},
         (*shop.notes, *_overlap(model.tracks, held_out)),
         seed,
         "m" if ship else "units",
@@ -123,6 +125,10 @@ def from_durations(tracks: Tracks) -> list[float]:
     """Horizons, seconds: parts of the median duration, each rounded to two figures."""
     middle = float(np.median(tracks.duration))
     return sorted({float(f"{middle * part:.2g}") for part in PARTS if middle > 0})
+
+
+def _again(method: Method, asked: Questions) -> Floats:
+    return method.answer(asked, None)
 
 
 def _silent(share: float) -> None:

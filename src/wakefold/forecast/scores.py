@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -35,7 +35,9 @@ class Scores(Remembers):
         speed: questions answered in a second of one core, by method; NaN where it was not measured.
         settings: what was chosen for each method on past tracks held back, in plain types.
         notes: what should be known of the numbers.
+        again: by method, what answers more questions ``(Q, H, S, d)``.
         seed: of the intervals.
+        unit: of lengths.
     """
 
     asked: Questions
@@ -46,9 +48,10 @@ class Scores(Remembers):
     classes: Mapping[str, Floats]
     speed: Mapping[str, float]
     settings: Mapping[str, Mapping[str, Any]]
+    again: Mapping[str, Callable[[Questions], Floats]]
     notes: tuple[str, ...] = ()
     seed: int = 0
-    unit: str = field(default="m")
+    unit: str = "m"
 
     @property
     def methods(self) -> list[str]:

@@ -27,7 +27,7 @@ from wakefold.forecast.methods import (
     answered,
     of_filter,
 )
-from wakefold.forecast.questions import Questions, ask, thinning
+from wakefold.forecast.questions import Questions, Which, ask, thinning
 from wakefold.forecast.rivals import ConstantVelocity, Kalman, NearestTrack, Past, Rival, Windows
 from wakefold.forecast.samples import judged
 from wakefold.model.model import Model, learn
@@ -35,6 +35,7 @@ from wakefold.model.model import Model, learn
 VELOCITIES = (1.0, 1.5, 2.5, 5.0)  # times between fixes: windows over which a velocity is taken
 NEIGHBOURS = (5, 10, 20, 40)
 AMOUNTS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of residuals added to neighbours
+FORGETFUL = (CONSTANT_VELOCITY, KALMAN)  # they remember no tracks: all of them are held back from their memory
 NOISES = 6  # of the Kalman filter that are tried
 FIX_SD = (0.1, 0.3, 1.0)  # of the model's sd: that of the Kalman filter's fixes
 SCALES, SDS = (0.5, 1.0, 2.0), (0.5, 0.25, 1.0)  # of the model's noise and sd: those of the filters
@@ -50,7 +51,7 @@ class Workshop(Remembers):
 
     Args:
         model: learned.
-        terms: horizons, time between fixes and age from which on is asked, seconds; see ``ask``.
+        terms: horizons, time between fixes and age from which on is asked, seconds, and which moments; see ``ask``.
         levels: of the classes that are asked for, metres.
         seed: of the filters.
 
@@ -59,13 +60,14 @@ class Workshop(Remembers):
     """
 
     def __init__(
-        self, model: Model, terms: tuple[Sequence[float], float, float], levels: list[float], seed: int = 0
+        self, model: Model, terms: tuple[Sequence[float], float, float, Which], levels: list[float], seed: int = 0
     ) -> None:
         self.model, self.every, self.levels, self.seed = model, terms[1], levels, seed
         back = held_back(model.tracks)
         few = back.all() or not back.any()  # what the tracks themselves do is all there is to learn from
         self.memory, kept = (model.tracks, model.tracks) if few else (model.tracks.select(w) for w in (~back, back))
         self.held = ask(kept, *terms)
+        self._terms = terms
         self.notes = [TOO_FEW] if few else []
 
     def make(self, names: Sequence[str], progress: Progress) -> list[Method]:
@@ -99,7 +101,8 @@ class Workshop(Remembers):
         """A rival with the best settings; without amounts one that has a spread of its own, or else all residuals."""
         past, whole = (Past(tracks, self.every) for tracks in (self.memory, self.model.tracks))
         tried = [(partial(make, past, s), amounts or ((0.0,) if s["spread"] else (1.0,))) for s in settings]
-        dressed = fitted(tried, lambda k: make(whole, settings[k]), self.held)
+        held = self._all if name in FORGETFUL else self.held
+        dressed = fitted(tried, lambda k: make(whole, settings[k]), held)
         chosen = {
             f"{h:g}": settings[c.number] | {"residuals": c.amount}
             for h, c in zip(self.held.horizons, dressed.choices, strict=True)
@@ -114,7 +117,7 @@ class Workshop(Remembers):
 
     def _kalmans(self) -> list[dict[str, Any]]:
         """Noises that span what constant velocity is wrong by, sd of fixes, and either kind of answer."""
-        held, h = self.held, self.held.horizons
+        held, h = self._all, self._all.horizons
         speed = float(np.sqrt(np.square(held.velocity(self.every)).sum() / max(2 * len(held), 1))) or 1.0
         off = np.square(held.truth - ConstantVelocity(self.every).ensemble(held)[:, :, 0])
         known = np.isfinite(off[:, :, 0]).any(axis=0)
@@ -169,6 +172,11 @@ class Workshop(Remembers):
         best = min((worth(scale * k, sd * SDS[0]), scale * k, sd * SDS[0]) for k in SCALES)
         best = min(best, *((worth(best[1], sd * k), best[1], sd * k) for k in SDS[1:]))
         return best[1:]
+
+    @cached_property
+    def _all(self) -> Questions:
+        """Questions about all past tracks, for what remembers none."""
+        return ask(self.model.tracks, *self._terms)
 
     @cached_property
     def _smaller(self) -> Model:
