@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import wakefold as wf
-from wakefold.forecast import dressing, rivals
+from wakefold.forecast import classes, dressing, rivals
 from wakefold.forecast.followed import follow
 from wakefold.forecast.methods import FILTERS, NAMES, of_filter
 from wakefold.forecast.questions import ask
@@ -214,3 +214,29 @@ def test_what_cannot_be_scored_is_said(model: wf.Model) -> None:
     again = wf.score(model, river(0, 4), **TERMS, levels=[], methods=[])
     assert any("are in the model too" in note for note in again.notes)
     assert not wf.score(model, tracks, **TERMS, levels=[], methods=[]).notes
+
+
+def test_classes_are_told_in_intervals_of_the_tree(model: wf.Model) -> None:
+    """Shares of tracks become those of the classes above them, with a floor of the prior."""
+    tree = model.filtration
+    truth, level = np.array([3]), float(tree.levels(2)[-1])
+    ledger = classes.Ledger(tree, truth, [0.0, level])
+    ledger.tracks(np.array([[3, 3, 5, 8], [5, 5, 5, 5], [3, 3, 3, 3]]), prior=0.2)
+    of = [tree.class_at(t, level) for t in range(40)]
+    for moment, named in enumerate(([3, 3, 5, 8], [5] * 4, [3] * 4)):
+        share = [0.8 * named.count(t) / 4 + 0.2 / 40 for t in range(40)]
+        for k, true in ((0, [3]), (1, [t for t in range(40) if of[t] == of[3]])):
+            kept = [t in true for t in range(40)]
+            expected = (1 - classes.FLOOR) * sum(np.array(share)[kept]) + classes.FLOOR * len(true) / 40
+            assert ledger.found[0, moment, k, classes.TRUE] == pytest.approx(expected)
+    assert ledger.found[0, :, 0, classes.HIT].tolist() == [1.0, 0.0, 1.0]
+    told = classes.summary(ledger.found[:, :, 0])
+    assert told["25"]["nll"] == pytest.approx(-np.log(ledger.found[0, 0, 0, classes.TRUE]))
+    assert [told[share]["accuracy"] for share in ("25", "50", "75")] == [1.0, 0.0, 1.0]
+
+
+def test_the_true_class_is_that_of_the_nearest_past_track(model: wf.Model) -> None:
+    tracks = river(9, 5, 1e6)
+    found = classes.nearest_past(model, tracks)
+    away = wf.frechet_matrix(tracks.resample(spacing=model.tracks.median_spacing), model.tracks)
+    assert found.tolist() == np.argmin(away, axis=1).tolist()

@@ -49,6 +49,7 @@ class Ledger:
 
     def __init__(self, tree: Filtration, truth: Ints, levels: list[float]) -> None:
         self.tree, self.levels = tree, levels
+        self._prior: Floats = (tree.hi - tree.lo) / len(tree)
         self._true = np.array([[tree.class_at(int(t), b) for b in levels] for t in truth]).reshape(
             len(truth), len(levels)
         )
@@ -56,8 +57,7 @@ class Ledger:
 
     def level(self, track: int, moment: int, level: int, table: Any) -> None:
         """A table of the probabilities of one of the levels, by its number."""
-        true, tree = int(self._true[track, level]), self.tree
-        prior = (tree.hi - tree.lo) / len(tree)
+        true, prior = int(self._true[track, level]), self._prior
         of_true = float(table.probability[table.classes == true].sum())
         top = int(table.classes[0])
         self.found[track, moment, level] = (
@@ -66,14 +66,20 @@ class Ledger:
             top == true,
         )
 
-    def masses(self, share: Floats, track: int, moment: int) -> None:
-        """Shares ``(M,)`` of the past tracks, which make the classes of every level."""
-        ranked = share[self.tree.order]
-        for number, level in enumerate(self.levels):
+    def tables(self, share: Floats) -> list[Table]:
+        """The probabilities of every level that shares ``(M,)`` of the past tracks make."""
+        ranked, out = share[self.tree.order], []
+        for level in self.levels:
             classes = self.tree.alive(level)
             probability = np.add.reduceat(ranked, self.tree.lo[classes])
             order = np.argsort(-probability, kind="stable")
-            self.level(track, moment, number, Table(classes[order], probability[order]))
+            out.append(Table(classes[order], probability[order]))
+        return out
+
+    def told(self, track: int, moment: int, tables: list[Table]) -> None:
+        """A table for each level."""
+        for number, table in enumerate(tables):
+            self.level(track, moment, number, table)
 
     def tracks(self, named: Ints, prior: float) -> None:
         """Past tracks ``(T * 3, k)`` named at the three moments of each track, all as likely as one another.
@@ -83,15 +89,16 @@ class Ledger:
         """
         for at, each in enumerate(named):
             share = np.bincount(each, minlength=len(self.tree)) / len(each)
-            self.masses((1.0 - prior) * share + prior / len(self.tree), *divmod(at, len(SHARES)))
+            self.told(*divmod(at, len(SHARES)), self.tables((1.0 - prior) * share + prior / len(self.tree)))
 
 
 def prior(tree: Filtration, truth: Ints, levels: list[float]) -> Floats:
     """What knows nothing of a track scores: every past track is as likely as another."""
     ledger = Ledger(tree, truth, levels)
+    tables = ledger.tables(np.full(len(tree), 1.0 / len(tree)))
     for track in range(len(truth)):
         for moment in range(len(SHARES)):
-            ledger.masses(np.full(len(tree), 1.0 / len(tree)), track, moment)
+            ledger.told(track, moment, tables)
     return ledger.found
 
 

@@ -55,9 +55,11 @@ def score(
     Args:
         model: learned from other tracks.
         tracks: held out, as they were recorded, in two coordinates; of the model's kind, geodetic or planar.
-        horizons: seconds ahead, or such as "5min"; for geodetic tracks 5, 15, 30 and 60 minutes, otherwise from their duration.
-        every: time between fixes at least; for geodetic tracks 2 minutes, otherwise the sampling interval.
-        after: age of a track from which on questions are asked; for geodetic tracks 2 minutes, otherwise four times ``every``.
+        horizons: seconds ahead, or such as "5min"; by default 5, 15, 30 and 60 minutes for geodetic tracks, an eighth,
+            a quarter, a half and all of the median duration for others.
+        every: time between fixes at least; by default 2 minutes for geodetic tracks, for others the sampling interval.
+        after: age of a track from which on questions are asked; by default 2 minutes for geodetic tracks, for others
+            four times ``every``.
         questions: "all", or the "first" of each track alone.
         levels: of classes, metres; three picked by entropy by default.
         methods: names of ``wakefold.forecast.methods.NAMES``, all by default; or filters by a name, taken as they are
