@@ -28,7 +28,7 @@ def score(
     ] = "",
     every: Annotated[
         str | None,
-        opt("Time between the fixes that are given, at least. 2min; for planar tracks the sampling interval."),
+        opt("Time between the fixes that are given, at least. 2min; for planar tracks a 25th of their duration."),
     ] = None,
     after: Annotated[
         str | None,

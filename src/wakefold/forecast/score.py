@@ -28,6 +28,7 @@ from wakefold.tracks.tracks import Tracks
 SHIPS = (300.0, 900.0, 1800.0, 3600.0)  # horizons of geodetic tracks, seconds
 EVERY = 120.0  # seconds between the fixes of a ship
 PARTS = (1 / 8, 1 / 4, 1 / 2, 1.0)  # horizons of other tracks: of their median duration
+FIXES = 25  # of another track of median duration
 AGE = 4  # times between fixes, of other tracks, from which on questions are asked
 LEVELS = 3
 SLOW_TRACKS, SLOW_MOMENTS = 50, 200  # about which slow filters are asked
@@ -57,7 +58,8 @@ def score(
         tracks: held out, as they were recorded, in two coordinates; of the model's kind, geodetic or planar.
         horizons: seconds ahead, or such as "5min"; by default 5, 15, 30 and 60 minutes for geodetic tracks, an eighth,
             a quarter, a half and all of the median duration for others.
-        every: time between fixes at least; by default 2 minutes for geodetic tracks, for others the sampling interval.
+        every: time between fixes at least; by default 2 minutes for geodetic tracks, for others a 25th of the
+            median duration in whole sampling intervals, one at least.
         after: age of a track from which on questions are asked; by default 2 minutes for geodetic tracks, for others
             four times ``every``.
         questions: "all", or the "first" of each track alone.
@@ -73,7 +75,7 @@ def score(
     """
     held_out = _on_plane(model, tracks)
     ship = held_out.projection is not None
-    step = seconds(every) if every is not None else EVERY if ship else held_out.median_interval
+    step = seconds(every) if every is not None else EVERY if ship else _usual(held_out)
     if not (math.isfinite(step) and step > 0):
         raise ValueError("every must be above 0, and tracks of single points have no sampling interval: give it")
     age = seconds(after) if after is not None else EVERY if ship else AGE * step
@@ -123,6 +125,14 @@ def score(
     )
 
 
+def _usual(tracks: Tracks) -> float:
+    """Seconds between fixes: about a 25th of the median duration, in whole sampling intervals."""
+    interval = tracks.median_interval
+    if not interval > 0:  # NaN of single points
+        return math.nan
+    return interval * max(1, round(float(np.median(tracks.duration)) / FIXES / interval))
+
+
 def from_durations(tracks: Tracks) -> list[float]:
     """Horizons, seconds: parts of the median duration, each rounded to two figures."""
     middle = float(np.median(tracks.duration))
@@ -151,13 +161,24 @@ def _on_plane(model: Model, tracks: Tracks) -> Tracks:
 
 def _overlap(past: Tracks, tracks: Tracks) -> list[str]:
     """A note if agents of the held-out tracks were learned from at the same time."""
-    names = [set(np.asarray(t.attributes.get("agent", t.ids)).astype(str).tolist()) for t in (past, tracks)]
-    shared = names[0] & names[1]
-    both = past.times.min() <= tracks.times.max() and tracks.times.min() <= past.times.max()
-    if not (shared and both):
+    spans = [_spans(past), _spans(tracks)]
+    shared = sum(
+        any(a <= d and c <= b for a, b in spans[0][name] for c, d in spans[1][name])
+        for name in spans[0].keys() & spans[1].keys()
+    )
+    if not shared:
         return []
-    agents = counted(len(shared), "agent")
+    agents = counted(shared, "agent")
     return [f"{agents} of these tracks, and their times, are in the model too: scores on what was learned flatter"]
+
+
+def _spans(tracks: Tracks) -> dict[str, list[tuple[float, float]]]:
+    """Begin and end of the tracks of each agent."""
+    out: dict[str, list[tuple[float, float]]] = {}
+    names = np.asarray(tracks.attributes.get("agent", tracks.ids)).astype(str).tolist()
+    for name, begin, end in zip(names, tracks.offsets[:-1], tracks.offsets[1:], strict=True):
+        out.setdefault(name, []).append((float(tracks.times[begin]), float(tracks.times[end - 1])))
+    return out
 
 
 def _made(
