@@ -48,7 +48,7 @@ def test_it_prints_a_table_and_writes_numbers_and_a_page(folder: Path) -> None:
         "score", folder / "model", folder / "later.csv", *QUICK, "--json", folder / "s.json", "--out", folder / "r"
     )
     lines = said.splitlines()
-    assert any(line.startswith("best in 5 min") for line in lines)
+    assert any(line.startswith("Best in 5 min") for line in lines)
     assert any(line.startswith("nearest windows") for line in lines)
     told = json.loads((folder / "s.json").read_text())
     assert list(told["methods"]) in (["nearest windows", "constant velocity"], ["constant velocity", "nearest windows"])

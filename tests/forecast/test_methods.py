@@ -132,7 +132,7 @@ def test_every_method_answers_and_the_numbers_are_plain(model: wf.Model) -> None
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1.0)
     table = found.table()
-    assert table.splitlines()[0].startswith("best in 5 min")
+    assert table.splitlines()[0].startswith("Best in 5 min, 10 min: ")
     assert all(name in table for name in NAMES)
     again = wf.score(model, tracks, **TERMS, levels=[100.0, 1000.0], methods=["nearest windows"]).to_dict()
     assert again["methods"]["nearest windows"]["300"]["mean"] == told["methods"]["nearest windows"]["300"]["mean"]

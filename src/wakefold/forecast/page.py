@@ -50,14 +50,15 @@ def write(scores: Scores, model: Model, out: Path) -> Path:
 
 def _page(scores: Scores, model: Model, drawn: dict[str, Path]) -> str:
     asked, told = scores.asked, scores.to_dict()
-    verdict = "".join(f"<li>{escape(line)}</li>" for line in scores.verdict())
+    verdict = " ".join(scores.verdict())
     notes = "".join(f"<li>{escape(note)}</li>" for note in scores.notes)
     return f"""<!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>Wakefold: forecasts scored</title><style>{STYLE}</style></head><body>
 <h1>Forecasts of {counted(len(asked.fixes), "held-out track")}</h1>
 <p class="note">{escape(repr(model))}; {escape(scores.terms["asks"])}; seed {scores.seed}.</p>
-<ul>{verdict}</ul>{f"<p>To be noted:</p><ul>{notes}</ul>" if notes else ""}
+<p>{escape(verdict)}</p>
+{f"<p>To be noted:</p><ul>{notes}</ul>" if notes else ""}
 <h2>Error against horizon</h2>
 {_picture(drawn["horizons"], "Mean error and energy score of each method against the horizon")}
 <p class="note">Bars are 90 % intervals over tracks. Error: distance from the geometric median of 100 samples to where

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -169,7 +170,7 @@ class Scores(Remembers):
     def table(self) -> str:
         """A few lines that say which method is best, and a table for each horizon and level."""
         asked, found = self.asked, self.to_dict()
-        lines = [*self.verdict(), "", self.said()]
+        lines = [line for sentence in (*self.verdict(), self.said()) for line in wrap(sentence, 110)]
         wide = max(map(len, [*self.methods, *self.classes, "method"])) + 2
         head = f"{'method':<{wide}}{'mean':>10}{'median':>10}{'energy':>10}{'50 %':>7}{'90 %':>7}{'no answer':>11}"
         for h, seconds in enumerate(asked.horizons):
@@ -193,27 +194,27 @@ class Scores(Remembers):
     def said(self) -> str:
         """What the numbers are."""
         return (
-            f"mean and median error and energy score in {self.unit}, share of truths in the 50 % and the 90 % region; "
-            f"{self.terms['asks']}"
+            f"Mean and median error and energy score in {self.unit}, share of truths in the 50 % and the 90 % region; "
+            f"{self.terms['asks']}."
         )
 
     def verdict(self) -> list[str]:
-        """Which method is best at which horizons by its energy score, and by how much."""
+        """Sentences: which method is best at which horizons by its energy score, and by how much."""
         places: dict[str, list[int]] = {}
         for h in np.flatnonzero(self.asked.asked).tolist():
             places.setdefault(str(self.best(h)), []).append(h)
-        lines = []
+        sentences = []
         for name, rows in places.items():
-            when = ", ".join(duration_text(self.asked.horizons[h]) for h in rows)
-            lines.append(f"best in {when} by energy score: {name}")
+            against = []
             for h in rows:
                 if (other := self.best(h, but=name)) is None:
                     continue
                 share = 1.0 - self.ratio(name)[h] / self.ratio(other)[h]
-                sure = self.interval(name, "energy", other)[h, 1] < 0
-                doubt = "" if sure else ", which may be chance"
-                lines.append(f"  in {duration_text(self.asked.horizons[h])} {share:.0%} below {other}{doubt}")
-        return lines
+                doubt = "" if self.interval(name, "energy", other)[h, 1] < 0 else " (which may be chance)"
+                against.append(f"{share:.0%} below that of {other}{doubt} in {duration_text(self.asked.horizons[h])}")
+            when = ", ".join(duration_text(self.asked.horizons[h]) for h in rows)
+            sentences.append(f"Best in {when}: {name}{', its energy score ' if against else ''}{', '.join(against)}.")
+        return sentences
 
     def _of_classes(self, found: dict[str, Any], wide: int) -> list[str]:
         lines: list[str] = []

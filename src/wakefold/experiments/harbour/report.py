@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ def report_page(results: Mapping[str, Any], pictures: Mapping[str, Path]) -> str
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>Wakefold: New York Harbor</title><style>{STYLE}</style></head><body>
 <h1>New York Harbor, one belief at every scale</h1>
+<p>{escape(" ".join(results["verdict"]))}</p>
 <p class="note">Ship tracks (AIS) of December 2020 from the package tracktable-data. Learned on 1–7 December; everything
 below the tree is about 8 December, which was used neither to learn nor to choose a setting of a filter.</p>
 
@@ -58,8 +59,8 @@ forecasts for 5 and 15 minutes from where it was then (c.v.: at constant velocit
 
 <h2>All voyages of 8 December</h2>
 <p>{held_out["voyages"]:,} voyages, {held_out["fixes"]:,} fixes two minutes apart or more. After each fix but the first
-every method says where the ship will be, as long as the voyage lasts, by 100 samples.
-{escape(_sentence(results["verdict"]))} The best of each column is bold.</p>
+every method says where the ship will be, as long as the voyage lasts, by 100 samples. The best of each column
+is bold.</p>
 {_errors(results["scores"])}
 <p class="note">{escape(results["scores"]["questions"]["asks"])}. Error: mean and (median) distance of the geometric
 median of the samples from where the ship was, metres. Energy score: mean distance of a sample from there less half the
@@ -107,10 +108,6 @@ def _effect(results: Mapping[str, Any]) -> str:
         for level, a, b in zip(results["levels"], steps[at - 1]["best"], steps[at]["best"], strict=True)
     ]
     return f"<p>The coarse report moved the most probable class {'; '.join(parts)}.</p>"
-
-
-def _sentence(verdict: Sequence[str]) -> str:
-    return " ".join(line.strip()[:1].upper() + line.strip()[1:] + "." for line in verdict)
 
 
 def _slow(scores: Mapping[str, Any]) -> str:
