@@ -67,7 +67,7 @@ the agent was. Energy score: mean distance of a sample from there, less half the
 <h2>How sure to be</h2>
 {_picture(drawn["calibration"], "Truths in regions of a probability, likeliest classes that were right")}
 <p class="note">On the dashed line a method is as often right as it says; below it, it is too sure. Below: the likeliest
-class after half of a track; larger dots stand for more tracks.</p>
+class after half of a track, in bins of its probability; larger dots stand for more tracks.</p>
 {_classes(told, scores)}
 <h2>The best and the worst answers</h2>
 {_picture(drawn["answers"], "Maps of the best and the worst answers")}
@@ -92,6 +92,7 @@ def _errors(told: dict[str, Any], scores: Scores) -> str:
     body = []
     for name in scores.methods:
         cells = [f"<td>{escape(name)}</td>"]
+        rows = told["methods"][name].values()
         for row in (told["methods"][name].get(h) for h in horizons):
             if row is None:
                 cells.append("<td></td>" * 4)
@@ -99,8 +100,7 @@ def _errors(told: dict[str, Any], scores: Scores) -> str:
             cells.append(f"<td>{number_text(row['mean'])} ({number_text(row['median'])})</td>")
             cells.append(f"<td>{number_text(row['energy'])}</td>")
             cells.append(f"<td>{row['cover50']:.2f}</td><td>{row['cover90']:.2f}</td>")
-        missing = sum(row["unanswered"] for row in told["methods"][name].values())
-        few = max((row["n"] for row in told["methods"][name].values()), default=0)
+        missing, few = sum(row["unanswered"] for row in rows), max((row["n"] for row in rows), default=0)
         cells.append(f"<td>{few:,}</td><td>{missing or ''}</td>")
         body.append(f"<tr>{''.join(cells)}</tr>")
     head += "<th></th><th></th>"

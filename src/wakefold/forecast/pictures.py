@@ -92,8 +92,7 @@ def calibration(scores: Scores) -> Figure:
         _diagonal(ax)
         for name in told:
             sure, right, number = _bins(scores.classes[name][:, 1, k])
-            ax.plot(sure, right, "-", color=paint[name], linewidth=0.8)
-            ax.scatter(sure, right, s=4 + 60 * number / number.sum(), color=paint[name], linewidths=0, alpha=0.8)
+            ax.scatter(sure, right, s=4 + 150 * number / number.sum(), color=paint[name], linewidths=0, alpha=0.8)
         ax.set_title(f"likeliest class right, {number_text(scores.levels[k])} {scores.unit}")
         ax.set_xlabel("its probability, half way")
     legend_below(figure, _handles(scores, paint), 5)
@@ -122,6 +121,7 @@ def answers(scores: Scores, model: Model, method: str, h: int) -> Figure:
         ax.scatter(*samples.T, s=5, color=PALETTE[4], alpha=0.7, linewidths=0, zorder=2)
         ax.plot(*fixes.T, "-o", color=INK, markersize=2, linewidth=1.0, zorder=3)
         ax.plot(*np.vstack([later, truth]).T, color=INK, linewidth=0.8, linestyle=(0, (1, 1.5)), zorder=3)
+        ax.scatter(*fixes[-1], s=40, color=INK, edgecolors="white", linewidths=0.8, zorder=4)
         ax.scatter(*truth, s=36, facecolors="none", edgecolors=PALETTE[1], linewidths=1.4, zorder=5)
         ax.scatter(*point, s=30, marker="x", color=PALETTE[0], linewidths=1.4, zorder=5)
         error, gone = scores.judged[method].error[q, h], float(np.linalg.norm(truth - fixes[-1]))
@@ -129,6 +129,7 @@ def answers(scores: Scores, model: Model, method: str, h: int) -> Figure:
     marks: dict[str, Any] = {"linestyle": "none", "markerfacecolor": "none"}
     handles = [
         Line2D([], [], color=INK, marker="o", markersize=2, linewidth=1, label="fixes so far"),
+        Line2D([], [], color=INK, marker="o", markersize=6, linestyle="none", label="the last one"),
         Line2D([], [], color=INK, linewidth=0.8, linestyle=(0, (1, 1.5)), label="where it went"),
         Line2D([], [], color=PALETTE[1], marker="o", label="where it was then", **marks),
         Line2D([], [], color=PALETTE[0], marker="x", label="answer: median of the samples", **marks),
@@ -136,7 +137,7 @@ def answers(scores: Scores, model: Model, method: str, h: int) -> Figure:
     ]
     title = f"{method}, in {duration_text(scores.asked.horizons[h])}: above the best answers, below the worst"
     figure.suptitle(title, x=0.01, ha="left", fontsize=9)
-    legend_below(figure, handles, 5)
+    legend_below(figure, handles, 6)
     return figure
 
 

@@ -169,27 +169,33 @@ class Scores(Remembers):
 
     def table(self) -> str:
         """A few lines that say which method is best, and a table for each horizon and level."""
-        asked, found = self.asked, self.to_dict()
+        found = self.to_dict()
         lines = [line for sentence in (*self.verdict(), self.said()) for line in wrap(sentence, 110)]
-        wide = max(map(len, [*self.methods, *self.classes, "method"])) + 2
-        head = f"{'method':<{wide}}{'mean':>10}{'median':>10}{'energy':>10}{'50 %':>7}{'90 %':>7}{'no answer':>11}"
-        for h, seconds in enumerate(asked.horizons):
-            if not asked.asked[h]:
-                continue
-            lines += ["", f"in {duration_text(seconds)}: {counted(int(asked.asked[h]), 'question')}", head]
-            rows = {name: found["methods"][name][f"{seconds:g}"] for name in self.methods}
-            for name in sorted(rows, key=lambda name: rows[name]["energy"]):
-                row = rows[name]
-                numbers = "".join(f"{number_text(row[what], 3):>10}" for what in ("mean", "median", "energy"))
-                cover = "".join(f"{row[what]:>7.2f}" for what in ("cover50", "cover90"))
-                lines.append(f"{name:<{wide}}{numbers}{cover}{row['unanswered'] or '':>11}")
+        wide = max(map(len, [*self.methods, *self.classes])) + 4
+        for h in np.flatnonzero(self.asked.asked).tolist():
+            lines += self._of_horizon(h, found["methods"], wide)
         lines += self._of_classes(found["classes"], wide)
-        speeds = ", ".join(
-            f"{name} {number_text(found['speed'][name])}" for name in self.methods if name in found["speed"]
-        )
-        if speeds:
-            lines += ["", f"questions a second of one core: {speeds}"]
+        if speed := found["speed"]:
+            each = (f"{name} {number_text(speed[name])}" for name in self.methods if name in speed)
+            lines += ["", *wrap(f"questions a second of one core: {', '.join(each)}", 110)]
         return "\n".join(lines + [f"note: {note}" for note in self.notes])
+
+    def _of_horizon(self, h: int, found: dict[str, Any], wide: int) -> list[str]:
+        seconds, number = self.asked.horizons[h], int(self.asked.asked[h])
+        head = f"{'method':<{wide}}{'mean':>10}{'median':>10}{'energy':>10}{'50 %':>7}{'90 %':>7}{'no answer':>11}"
+        lines, few = ["", f"in {duration_text(seconds)}: {counted(number, 'question')}", head], []
+        rows = {name: row for name in self.methods if (row := found[name].get(f"{seconds:g}"))}
+        for name, row in sorted(rows.items(), key=lambda each: self.ratio(each[0])[h]):
+            mark = ""
+            if row["n"] < number:
+                mark = " *"
+                few.append(f"{row['n']:,}")
+            numbers = "".join(f"{number_text(row[what], 3):>10}" for what in ("mean", "median", "energy"))
+            cover = "".join(f"{row[what]:>7.2f}" for what in ("cover50", "cover90"))
+            lines.append(f"{name + mark:<{wide}}{numbers}{cover}{row['unanswered'] or '':>11}")
+        if few:
+            lines.append(f"* was asked {few[0]} of them only, and has its place by constant velocity's score on these")
+        return lines
 
     def said(self) -> str:
         """What the numbers are."""
