@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from wakefold.filters.calibrated import Calibrated
     from wakefold.filters.hmm import GaussianHMM
     from wakefold.filters.mhpf import MHPF
+    from wakefold.filters.trail import Trail
     from wakefold.forecast.score import score
     from wakefold.forecast.scores import Scores
     from wakefold.io.read import read_tracks
@@ -52,6 +53,7 @@ _WHERE = {  # looked up on first use: importing the package costs no numba, pyar
     "Scene": "relations.scene",
     "Scores": "forecast.scores",
     "Tracks": "tracks.tracks",
+    "Trail": "filters.trail",
     "frechet": "model.linkage.distance",
     "frechet_matrix": "model.linkage.distance",
     "learn": "model.model",
@@ -77,6 +79,7 @@ __all__ = [  # noqa: RUF022 (by subject)
     "BL1",
     "BL2",
     "Calibrated",
+    "Trail",
     "Deviation",
     "Confusion",
     "GaussianHMM",

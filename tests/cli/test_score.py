@@ -68,8 +68,11 @@ def test_it_prints_a_table_and_writes_numbers_and_a_page(folder: Path) -> None:
 
 
 def test_tracks_are_cut_as_those_of_the_model_were(folder: Path) -> None:
-    assert wf.load(folder / "model").cuts == {
+    shaping = dict(wf.load(folder / "model").shaping)
+    assert shaping.pop("spacing") > 0
+    assert shaping == {
         "max_gap": 1200.0,
+        "max_speed": None,
         "stop_radius": 150.0,
         "stop_time": 600.0,
         "min_length": 0.0,
@@ -85,8 +88,8 @@ def test_tracks_are_cut_as_those_of_the_model_were(folder: Path) -> None:
 def test_a_model_that_keeps_no_cuts_takes_the_defaults_of_learn(folder: Path, tmp_path: Path) -> None:
     from dataclasses import replace
 
-    replace(wf.load(folder / "model"), cuts={}).save(tmp_path / "old")
-    assert wf.load(tmp_path / "old").cuts == {}
+    replace(wf.load(folder / "model"), shaping={}).save(tmp_path / "old")
+    assert wf.load(tmp_path / "old").shaping == {}
     cut = wf.read_tracks(folder / "later.csv")[0].segment("30min")
     assert f"Tracks({len(cut)} tracks" in call("score", tmp_path / "old", folder / "later.csv", *QUICK)
 

@@ -102,7 +102,6 @@ def learn(
       $ wakefold learn people.csv --columns agent=who,time=t,x=px,y=py -o forum.model
       $ wakefold learn harbour.model --extend wednesday.csv --forget 90d -o fresh.model
     """
-    from dataclasses import replace
 
     import wakefold as wf
     from wakefold.cli.facts import level_table, model_facts

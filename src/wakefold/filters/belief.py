@@ -5,8 +5,10 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
@@ -179,18 +181,35 @@ class Belief(Remembers):
 
     def save(self, directory: str | os.PathLike[str]) -> None:
         """Store bit for bit as a directory of arrays and a manifest; ``load`` needs the same model again."""
+        whose = {"filter": self.filter, "tree": _fingerprint(self.tree)}
+        store.save(directory, self._arrays(), {**self._meta(), **whose}, KIND)
+
+    def _meta(self) -> dict[str, Any]:
+        """Numbers that are stored beside the arrays."""
         meta = {name: getattr(self, name) for name in _NUMBERS}
-        meta |= {name: _told(getattr(self, name)) for name in _EVIDENCE}
-        meta |= {"filter": self.filter, "tree": _fingerprint(self.tree)}
-        store.save(directory, self._arrays(), meta, KIND)
+        return meta | {name: _told(getattr(self, name)) for name in _EVIDENCE}
 
     def _arrays(self) -> dict[str, NDArray[Any]]:
         return {name: getattr(self, name) for name in _ARRAYS}
 
     @classmethod
-    def _more(cls, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    def _more(cls, arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
         """Fields of this kind of belief from the arrays stored."""
         return {}
+
+    @classmethod
+    def _stored(cls, tree: Filtration, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> Belief:
+        """The belief of this kind that was stored so.
+
+        Raises:
+            KeyError, TypeError, ValueError: something is missing or unsound.
+        """
+        numbers = {name: meta[name] if name == "time" else int(meta[name]) for name in _NUMBERS}
+        evidence = _heard(meta["log_evidence"])
+        before = None if evidence is None else math.nan if meta["recoveries"] else evidence  # of an older version
+        since = _heard(meta["log_evidence_since"]) if "log_evidence_since" in meta else before
+        own = {name: arrays[name] for name in _ARRAYS}
+        return cls(tree=tree, log_evidence=evidence, log_evidence_since=since, **own, **numbers, **cls._more(arrays))
 
     @classmethod
     def load(cls, directory: str | os.PathLike[str], tree: Filtration) -> Belief:
@@ -206,19 +225,8 @@ class Belief(Remembers):
         if meta.get("tree") != _fingerprint(tree):
             raise store.StoreError(f"{directory} was made with another filtration")
         try:
-            kind = _KINDS[meta["filter"]] if "filter" in meta else _kind_of(arrays, tree)
-            numbers = {name: meta[name] if name == "time" else int(meta[name]) for name in _NUMBERS}
-            evidence = _heard(meta["log_evidence"])
-            before = None if evidence is None else math.nan if meta["recoveries"] else evidence  # of an older version
-            since = _heard(meta["log_evidence_since"]) if "log_evidence_since" in meta else before
-            return kind(
-                tree=tree,
-                log_evidence=evidence,
-                log_evidence_since=since,
-                **{name: arrays[name] for name in _ARRAYS},
-                **numbers,
-                **kind._more(arrays),
-            )
+            kind = _kind_named(meta["filter"]) if "filter" in meta else _kind_of(arrays, tree)
+            return kind._stored(tree, arrays, meta)
         except (KeyError, TypeError, ValueError) as error:
             raise store.StoreError(f"{directory} is damaged: {error}") from None
 
@@ -286,7 +294,7 @@ class StackBelief(Belief):
         return super()._arrays() | sets | {"copy_of": s.particle, "copied": s.copied, "factors": s.factors}
 
     @classmethod
-    def _more(cls, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    def _more(cls, arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
         if "nodes" not in arrays:
             return {}
         weights = arrays["copy_of"], arrays["copied"], arrays["factors"]
@@ -333,7 +341,7 @@ class GaussianBelief(Belief):
         return super()._arrays() | self.gaussians._asdict()
 
     @classmethod
-    def _more(cls, arrays: dict[str, NDArray[Any]]) -> dict[str, Any]:
+    def _more(cls, arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
         return {"gaussians": Gaussians(*(arrays[name] for name in Gaussians._fields))}
 
 
@@ -344,9 +352,17 @@ class EarlierBelief(StackBelief, TrackBelief):
 
 
 _KINDS = {kind.filter: kind for kind in (TrackBelief, FieldBelief, StackBelief, GaussianBelief, EarlierBelief)}
+_ELSEWHERE = {"Trail": ("wakefold.filters.trail", "TrailBelief")}  # they stand above this file
 _ARRAYS = ("points", "classes", "log_weights", "key")
 _NUMBERS = ("step", "time", "recoveries", "ignored")
 _EVIDENCE = ("log_evidence", "log_evidence_since")
+
+
+def _kind_named(name: str) -> type[Belief]:
+    if name in _ELSEWHERE:
+        module, kind = _ELSEWHERE[name]
+        return getattr(import_module(module), kind)
+    return _KINDS[name]
 
 
 def _kind_of(arrays: dict[str, NDArray[Any]], tree: Filtration) -> type[Belief]:

@@ -12,6 +12,7 @@ from wakefold.base.types import Floats, Ints
 from wakefold.filters.bootstrap import BL1, BL2
 from wakefold.filters.calibrated import Calibrated
 from wakefold.filters.mhpf import MHPF
+from wakefold.filters.trail import Trail
 from wakefold.forecast.classes import Ledger
 from wakefold.forecast.followed import Filter, follow
 from wakefold.forecast.questions import Questions
@@ -23,6 +24,7 @@ FILTERS: dict[str, Callable[..., Filter]] = {  # from a model; one line more is 
     "BL2": BL2,
     "MHPF": partial(MHPF, particles=PARTICLES, depletion=DEPLETION, levels=[]),
     "Calibrated": Calibrated,
+    "Trail": Trail,
 }
 TUNED = ("BL1", "BL2", "MHPF")  # noise of motion and sd of a fix are chosen for these; the others learn them
 SLOW = ("BL2", "Calibrated")  # tens of milliseconds for an answer, with a large model far more

@@ -18,6 +18,7 @@ from wakefold.model import growth
 from wakefold.model.dynamics import Dynamics, Noise
 from wakefold.model.filtration import Filtration, Linkage
 from wakefold.model.growth import SHAPING
+from wakefold.model.memory import Memory
 from wakefold.tracks.tracks import Tracks
 
 KIND = "model"
@@ -45,6 +46,7 @@ class Model:
     dynamics: Dynamics
     sd: float
     shaping: Mapping[str, Any] = field(default_factory=dict)
+    _memory: list[Memory] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         if len(self.tracks) != len(self.filtration):
@@ -69,10 +71,26 @@ class Model:
 
         return f"<p>{escape(repr(self))}</p>{self.tracks._repr_html_()}{self.filtration._repr_html_()}"
 
+    @property
+    def memory(self) -> Memory:
+        """Past states that ``Trail`` goes by; learned when it is first asked for, and kept with the model."""
+        return self.remember()
+
+    def remember(self, threads: int | None = None, progress: Callable[[float], None] | None = None) -> Memory:
+        """Learn the memory, if the model has none yet.
+
+        Args:
+            threads, progress: as in ``learn``.
+        """
+        if not self._memory:
+            self._memory.append(Memory.learn(self.tracks, self.filtration, threads, progress))
+        return self._memory[0]
+
     def save(self, directory: str | os.PathLike[str]) -> None:
-        """Store as one directory of arrays and a manifest (see ``wakefold.base.store``); no pickle."""
+        """Store, with its memory, as a directory of arrays and a manifest (``wakefold.base.store``); no pickle."""
         arrays, meta = {}, {}
-        for name, part in (("tracks", self.tracks), ("filtration", self.filtration), ("dynamics", self.dynamics)):
+        parts = ("tracks", self.tracks), ("filtration", self.filtration), ("dynamics", self.dynamics)
+        for name, part in (*parts, ("memory", self.memory)):
             packed, meta[name] = part.packed()
             arrays |= {f"{name}_{key}": array for key, array in packed.items()}
         store.save(directory, arrays, {**meta, "sd": self.sd, "shaping": dict(self.shaping)}, KIND)
@@ -115,7 +133,10 @@ class Model:
         every = Tracks.concat([self.tracks, new])
         if self.filtration.linkage == "complete":
             return self._of(every, Filtration.fit(every, "complete", threads, progress))
-        return self._of(every, self.filtration.extend(self.tracks, new, threads, progress))
+        grown = self._of(every, self.filtration.extend(self.tracks, new, threads, progress))
+        for memory in self._memory:
+            grown._memory.append(memory.extend(every, grown.filtration, threads))
+        return grown
 
     def forget(
         self, age: Duration, *, threads: int | None = None, progress: Callable[[float], None] | None = None
@@ -141,7 +162,8 @@ class Model:
         """This model with other tracks, which have its plane."""
         own = self.dynamics
         learned = Dynamics.learn(tracks, filtration, own.epsilon, own.noise, own.scale)
-        return replace(self, tracks=tracks, filtration=filtration, dynamics=replace(learned, interval=own.interval))
+        dynamics = replace(learned, interval=own.interval)
+        return replace(self, tracks=tracks, filtration=filtration, dynamics=dynamics, _memory=[])
 
 
 def load(directory: str | os.PathLike[str]) -> Model:
@@ -159,7 +181,9 @@ def load(directory: str | os.PathLike[str]) -> Model:
         tracks = Tracks.unpacked(part("tracks"), meta["tracks"])
         filtration = Filtration.unpacked(part("filtration"), meta["filtration"])
         dynamics = Dynamics.unpacked(part("dynamics"), meta["dynamics"], tracks, filtration)
-        return Model(tracks, filtration, dynamics, meta["sd"], meta.get("shaping", {}))  # older models have none
+        memory = [Memory.unpacked(part("memory"), meta["memory"], filtration)] if "memory" in meta else []
+        shaping = meta.get("shaping", {})  # older models have none, and no memory
+        return Model(tracks, filtration, dynamics, meta["sd"], shaping, memory)
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise store.StoreError(f"{directory} is not a sound model: {error}") from None
 
