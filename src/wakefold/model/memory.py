@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -22,7 +21,6 @@ from wakefold.model.remembering import (
     FEW,
     FINEST,
     HORIZONS,
-    LAGS,
     MOST,
     UNITS,
     Progress,
@@ -32,6 +30,7 @@ from wakefold.model.remembering import (
     features_of,
     forests_of,
     going_of,
+    lags_of,
     targets_of,
     weighed,
 )
@@ -52,7 +51,8 @@ class Memory(Remembers):
             a second, 0.
         begins: ``(M + 1,)`` first state of each track.
         going: ``(S, 2)`` velocity over the base lag, m/s.
-        step: seconds between states. unit: seconds; lags and horizons are multiples of it. base: see ``recall.Past``.
+        lags: ``(K,)`` seconds before now at which ways are compared. base: number of the one that tells velocity.
+        step: seconds between states. unit: seconds; lags and horizons are multiples of it.
         slow: m/s, added to speeds before their logarithm. daily: whether the time of day counts.
         dim: number of coordinates of the tracks.
         ways, own: the forests, of the map and of the own frame.
@@ -63,6 +63,7 @@ class Memory(Remembers):
     points: Floats
     begins: Ints
     going: Singles
+    lags: Floats
     step: float
     unit: float
     base: int
@@ -96,10 +97,9 @@ class Memory(Remembers):
         total = float(tracks.duration.sum())
         step = max(min(max(total / FEW, unit / FINEST), unit / COARSEST), total / MOST)
         daily = bool(np.ptp(tracks.times) > 0.75 * DAY)
-        seen = Seen.of(tracks, step, unit)
-        ahead, lags = unit * np.array(HORIZONS), unit * np.array(LAGS)
-        interval = tracks.median_interval
-        base = base_lag(seen, lags, ahead, 0.0 if math.isnan(interval) else 2.0 * interval)
+        ahead, lags = unit * np.array(HORIZONS), lags_of(tracks, unit)
+        seen = Seen.of(tracks, step, unit, lags)
+        base = base_lag(seen, lags, ahead, unit)
         going = going_of(seen.raw, seen.d, lags, base)
         slow = 0.2 * float(np.median(np.hypot(*going.T))) or 1.0
         block = blocks_of(tracks.times[tracks.offsets[:-1]])[seen.track]
@@ -107,7 +107,7 @@ class Memory(Remembers):
         y = targets_of(seen, lags, base, ahead)
         grown, sees = forests_of(x, y, block, threads, progress)
         made = cls(
-            seen.points, seen.begins, going, step, unit, base, slow, daily, tracks.dim, *grown,
+            seen.points, seen.begins, going, lags, step, unit, base, slow, daily, tracks.dim, *grown,
             shares=np.tile(np.array(DEFAULT), (1, len(ahead), 1)), masses=np.array([0.3, 0.3, 0.3, 0.1]),
             unusual=np.zeros(1), doubts=np.full(1, UNKNOWN), rank=filtration.rank,
         )  # fmt: skip
@@ -122,8 +122,8 @@ class Memory(Remembers):
         Args:
             tracks: those of this memory, and new ones after them. filtration: of all of them.
         """
-        seen, old = Seen.of(tracks, self.step, self.unit), len(self.points)
-        lags, ahead = self.past.lags, self.unit * np.array(HORIZONS)
+        lags, ahead = self.lags, self.unit * np.array(HORIZONS)
+        seen, old = Seen.of(tracks, self.step, self.unit, lags), len(self.points)
         x = features_of(seen.d, seen.raw, lags, self.base, self.slow, self.daily)
         y = targets_of(seen, lags, self.base, ahead)
         grown, _ = forests_of(x, y, np.zeros(len(seen.raw), dtype=np.int64), threads, None, (self.ways, self.own), old)
@@ -139,7 +139,7 @@ class Memory(Remembers):
         longest = np.argsort(-left, kind="stable").astype(np.int32)
         return recall.Past(
             self.points, self.going, track, self.begins, self.rank, longest, left[longest], self.step,
-            self.unit * np.array(LAGS), self.base, self.slow, self.daily, self.ways, self.own,
+            self.lags, self.base, self.slow, self.daily, self.ways, self.own,
             self.unit * np.array(HORIZONS), self.unusual, self.shares, self.masses, self.doubts,
         )  # fmt: skip
 
@@ -155,7 +155,8 @@ class Memory(Remembers):
     def packed(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Arrays and JSON metadata that ``unpacked`` takes back."""
         arrays = {
-            name: getattr(self, name) for name in ("points", "begins", "going", "shares", "masses", "unusual", "doubts")
+            name: getattr(self, name)
+            for name in ("points", "begins", "going", "lags", "shares", "masses", "unusual", "doubts")
         }
         for name, trees in (("ways", self.ways), ("own", self.own)):
             arrays |= {f"{name}_{key}": getattr(trees, key) for key in ("nodes", "rows", "first_node", "first_row")}
@@ -169,7 +170,10 @@ class Memory(Remembers):
             ValueError: arrays that do not fit together.
             KeyError, TypeError: something is missing or of another kind.
         """
-        own = {name: arrays[name] for name in ("points", "begins", "going", "shares", "masses", "unusual", "doubts")}
+        own = {
+            name: arrays[name]
+            for name in ("points", "begins", "going", "lags", "shares", "masses", "unusual", "doubts")
+        }
         numbers = {name: float(meta[name]) for name in ("step", "unit", "slow")}
         made = cls(
             **own, **numbers, base=int(meta["base"]), daily=bool(meta["daily"]), dim=int(meta["dim"]),
@@ -201,14 +205,14 @@ class Memory(Remembers):
             and self.doubts.shape == (bins,)
             and bool((np.diff(self.unusual) > 0).all())
         )
-        floats = self.points, self.going, self.shares, self.masses, self.unusual, self.doubts
+        floats = self.points, self.going, self.lags, self.shares, self.masses, self.unusual, self.doubts
         sound = sound and all(np.isfinite(array).all() for array in floats)
         types = (self.points, np.float64), (self.begins, np.int64), (self.going, np.float32), (self.shares, np.float64)
         sound = sound and all(array.dtype == kind for array, kind in types)
         if not sound:
             raise ValueError("its memory is not a number for each of its states")
         for trees in (self.ways, self.own):
-            _check_trees(trees, s, feature_count(d, len(LAGS)))
+            _check_trees(trees, s, feature_count(d, len(self.lags)))
 
 
 def _trees_of(arrays: Mapping[str, NDArray[Any]], name: str) -> recall.Trees:

@@ -20,14 +20,15 @@ if TYPE_CHECKING:
 
 Progress = Callable[[float], None]
 UNITS = 16  # of time in the median track: lags and horizons are counted in them
-LAGS = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # units before now at which an agent's own way is compared
-HORIZONS = (0.15, 0.5, 1.5, 5.0, 16.0)  # units ahead that shares are learned for, and forests for all but the first
+LAGS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # units before now at which an agent's own way is compared
+HORIZONS = (0.15, 0.5, 1.5, 6.0, 20.0)  # units ahead that shares are learned for, and forests for all but the first
 FINEST, COARSEST = 6, 2  # past states in a unit of time
 FEW, MOST = 150_000, 300_000  # past states that are wanted, and kept at most: of more tracks, states farther apart
 MAP_TREES, OWN_TREES = 32, 24
 MAP_LEAF, OWN_LEAF = 2, 4
 BLOCKS = 10  # of tracks one after the other, where there are not so many days
 DAY = 86400.0
+ALIKE = 1.04  # of two velocities that go on about as well, the one over the longer lag has less noise
 LEFT_OUT, KEPT = 0.3, 0.8  # share of the blocks that a tree does not see, and of the rows of the others that it does
 ASKED, DRAWS = 1500, 20  # states that shares are learned from, and positions of each member
 UNUSUAL = (0.0, 0.5, 0.8, 0.95, 1.0)  # quantiles of novelty between which shares are learned
@@ -56,9 +57,9 @@ class Seen(NamedTuple):
         return self.points.shape[1]
 
     @classmethod
-    def of(cls, tracks: Tracks, step: float, unit: float) -> Seen:
+    def of(cls, tracks: Tracks, step: float, unit: float, lags: Floats) -> Seen:
         begins, track, at = _moments(tracks, step)
-        raw, points = _raw(tracks, track, at, unit)
+        raw, points = _raw(tracks, track, at, lags)
         ahead, row = unit * np.array(HORIZONS), np.arange(len(raw))
         moves = np.empty((len(raw), len(ahead), points.shape[1]))
         futures(points, begins, track, row, ahead, step, moves)
@@ -75,31 +76,32 @@ def _moments(tracks: Tracks, step: float) -> tuple[Ints, Ints, Floats]:
     return begins, track, tracks.times[tracks.offsets[track]] + step * number
 
 
-def _raw(tracks: Tracks, track: Ints, at: Floats, unit: float) -> tuple[Floats, Floats]:
+def _raw(tracks: Tracks, track: Ints, at: Floats, lags: Floats) -> tuple[Floats, Floats]:
     """Raw states, and their positions."""
     points = tracks.points if tracks.dim > 1 else np.column_stack([tracks.points, np.zeros(len(tracks.points))])
     d = points.shape[1]
-    raw = np.empty((len(track), raw_length(d, len(LAGS))))
-    states(points, tracks.times, tracks.offsets, track, at, unit * np.array(LAGS), raw)
+    raw = np.empty((len(track), raw_length(d, len(lags))))
+    states(points, tracks.times, tracks.offsets, track, at, lags, raw)
     return raw, raw[:, :d].copy()
 
 
-def base_lag(seen: Seen, lags: Floats, ahead: Floats, finest: float) -> int:
-    """Which of the lags up to one unit of time tells the velocity that goes on best, to two horizons.
+def lags_of(tracks: Tracks, unit: float) -> Floats:
+    """Seconds before now at which ways are compared: of ``LAGS``, those that hold two steps of the tracks or more."""
+    interval = tracks.median_interval
+    finest = 0.0 if np.isnan(interval) else 2.0 * interval
+    return np.array([lag * unit for lag in LAGS if lag * unit >= finest or lag > LAGS[0]])
 
-    Args:
-        finest: seconds; a shorter lag tells more of errors of positions than of velocity.
-    """
-    moves, alive, errors = seen.moves[:, 1:3, :2], seen.alive[:, 1:3], {}
-    for base in range(LAGS.index(1.0) + 1):
-        if lags[base] < finest and base < LAGS.index(1.0):
-            continue
+
+def base_lag(seen: Seen, lags: Floats, ahead: Floats, longest: float) -> int:
+    """Which of the lags up to the longest tells the velocity that goes on best, to two horizons."""
+    moves, alive, errors = seen.moves[:, 1:3, :2], seen.alive[:, 1:3], []
+    for base in range(int(np.searchsorted(lags, longest, side="right"))):
         going = going_of(seen.raw, seen.d, lags, base).astype(np.float64)
         away = np.sqrt(((moves - ahead[1:3, None] * going[:, None]) ** 2).sum(axis=2))
-        known = alive & (seen.raw[:, seen.d, None] >= lags[LAGS.index(1.0)])
+        known = alive & (seen.raw[:, seen.d, None] >= longest)
         means = [away[known[:, h], h].mean() if known[:, h].any() else 1.0 for h in (0, 1)]
-        errors[base] = float(means[0] * means[1])
-    return min(errors, key=lambda base: errors[base])
+        errors.append(float(means[0] * means[1]))
+    return max(base for base, error in enumerate(errors) if error <= ALIKE * min(errors))
 
 
 def going_of(raw: Floats, d: int, lags: Floats, base: int) -> Singles:
@@ -121,7 +123,7 @@ def blocks_of(starts: Floats) -> Ints:
 
 
 def features_of(d: int, raw: Floats, lags: Floats, base: int, slow: float, daily: bool) -> tuple[Singles, Singles]:
-    shape = len(raw), feature_count(d, len(LAGS))
+    shape = len(raw), feature_count(d, len(lags))
     to_map, to_own = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
     all_features(raw, d, lags, base, slow, daily, to_map, to_own)
     return to_map, to_own
@@ -175,7 +177,7 @@ def forests_of(
         if guides is not None:
             rows = np.concatenate([kept, rows])
         nodes, seed = np.zeros((len(rows) + len(guide), 4), dtype=np.int32), 1 + which * 1000 + tree
-        tried = x[which].shape[1] // (1 + which)
+        tried = x[which].shape[1] // 2
         count = forest.grow(x[which], y[which], rows, leaves[which], tried, seed, guide, nodes, nodes.view(np.float32))
         return rows, nodes[:count].copy()
 

@@ -2,8 +2,8 @@
 
 An answer is a pool of members (docs/trail.md). The first three take past states of the forest of the map, for which the
 agent goes where they went; the next three those of the forest of the own frame, for which it departs from constant
-velocity as they did; the last takes any past state, of which it does the same. Within a forest, members differ in how many past
-states, still on their way at the time asked about, a node must hold to be their neighbourhood.
+velocity as they did; the last takes any past state, of which it does the same. Within a forest, members differ in how
+many past states, still on their way at the time asked about, a node must hold to be their neighbourhood.
 """
 
 import math
