@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from wakefold.model.filtration import Filtration
     from wakefold.tracks.tracks import Tracks
 
+ARRAYS = ("points", "begins", "going", "lags", "shares", "masses", "unusual", "doubts")  # that are kept on disk
 UNKNOWN = 0.1  # share of agents that go none of the ways known, where tracks are too few to learn it
 
 
@@ -189,27 +190,24 @@ class Memory(Remembers):
             ValueError: so it is.
         """
         s, d = self.points.shape
-        sound = self.begins.shape == (tracks + 1,) and self.begins[0] == 0 and self.begins[-1] == s and d >= 2
-        sound = sound and bool((np.diff(self.begins) > 0).all()) and self.going.shape == (s, 2)
-        sound = (
-            sound
-            and self.base in range(len(LAGS))
-            and min(self.step, self.unit, self.slow) > 0
-            and d == max(self.dim, 2)
-        )
-        bins, members = len(self.unusual), recall.MEMBERS
-        sound = sound and bins > 0 and self.shares.shape == (bins, len(HORIZONS), members)
-        sound = (
-            sound
-            and self.masses.shape == (recall.MAP + 1,)
-            and self.doubts.shape == (bins,)
-            and bool((np.diff(self.unusual) > 0).all())
-        )
-        floats = self.points, self.going, self.lags, self.shares, self.masses, self.unusual, self.doubts
-        sound = sound and all(np.isfinite(array).all() for array in floats)
-        types = (self.points, np.float64), (self.begins, np.int64), (self.going, np.float32), (self.shares, np.float64)
-        sound = sound and all(array.dtype == kind for array, kind in types)
-        if not sound:
+        shapes = {
+            "begins": (tracks + 1,), "going": (s, 2), "lags": self.lags.shape[:1], "masses": (recall.MAP + 1,),
+            "shares": (len(self.unusual), len(HORIZONS), recall.MEMBERS), "doubts": (len(self.unusual),),
+        }  # fmt: skip
+        kinds = {
+            "points": np.float64,
+            "begins": np.int64,
+            "going": np.float32,
+            "lags": np.float64,
+            "shares": np.float64,
+        }
+        sound = all(getattr(self, name).shape == shape for name, shape in shapes.items())
+        sound = sound and all(getattr(self, name).dtype == kind for name, kind in kinds.items())
+        sound = sound and all(np.isfinite(getattr(self, name)).all() for name in ARRAYS)
+        sound = sound and d == max(self.dim, 2) and 0 <= self.base < len(self.lags) - 1 and len(self.unusual) > 0
+        sound = sound and self.begins[0] == 0 and self.begins[-1] == s and min(self.step, self.unit, self.slow) > 0
+        rising = np.diff(self.begins), np.diff(self.lags), np.diff(self.unusual)
+        if not (sound and all((gaps > 0).all() for gaps in rising)):
             raise ValueError("its memory is not a number for each of its states")
         for trees in (self.ways, self.own):
             _check_trees(trees, s, feature_count(d, len(self.lags)))

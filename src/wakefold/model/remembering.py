@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -21,14 +22,17 @@ if TYPE_CHECKING:
 Progress = Callable[[float], None]
 UNITS = 16  # of time in the median track: lags and horizons are counted in them
 LAGS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # units before now at which an agent's own way is compared
-HORIZONS = (0.15, 0.5, 1.5, 6.0, 20.0)  # units ahead that shares are learned for, and forests for all but the first
+HORIZONS = (0.15, 0.5, 1.5, 4.0, 10.0, 20.0)  # units ahead that shares are learned for
+GROWN = 2  # the first of them that forests are grown for
 FINEST, COARSEST = 6, 2  # past states in a unit of time
 FEW, MOST = 150_000, 300_000  # past states that are wanted, and kept at most: of more tracks, states farther apart
-MAP_TREES, OWN_TREES = 32, 24
-MAP_LEAF, OWN_LEAF = 2, 4
+TREES = 32, 24  # of the map and of the own frame, for ``FEW`` states; of fewer states, up to
+MORE = 4  # times as many
+LEAVES = 2, 4
 BLOCKS = 10  # of tracks one after the other, where there are not so many days
 DAY = 86400.0
-ALIKE = 1.04  # of two velocities that go on about as well, the one over the longer lag has less noise
+TRIED = slice(1, 4)  # horizons that velocities are tried to
+ALIKE = 1.06  # of two velocities that go on about as well, the one over the longer lag has less noise
 LEFT_OUT, KEPT = 0.3, 0.8  # share of the blocks that a tree does not see, and of the rows of the others that it does
 ASKED, DRAWS = 1500, 20  # states that shares are learned from, and positions of each member
 UNUSUAL = (0.0, 0.5, 0.8, 0.95, 1.0)  # quantiles of novelty between which shares are learned
@@ -93,14 +97,14 @@ def lags_of(tracks: Tracks, unit: float) -> Floats:
 
 
 def base_lag(seen: Seen, lags: Floats, ahead: Floats, longest: float) -> int:
-    """Which of the lags up to the longest tells the velocity that goes on best, to two horizons."""
-    moves, alive, errors = seen.moves[:, 1:3, :2], seen.alive[:, 1:3], []
+    """Which of the lags up to the longest tells the velocity that goes on best, to the horizons ``TRIED``."""
+    moves, alive, errors = seen.moves[:, TRIED, :2], seen.alive[:, TRIED], []
     for base in range(int(np.searchsorted(lags, longest, side="right"))):
         going = going_of(seen.raw, seen.d, lags, base).astype(np.float64)
-        away = np.sqrt(((moves - ahead[1:3, None] * going[:, None]) ** 2).sum(axis=2))
+        away = np.sqrt(((moves - ahead[TRIED, None] * going[:, None]) ** 2).sum(axis=2))
         known = alive & (seen.raw[:, seen.d, None] >= longest)
-        means = [away[known[:, h], h].mean() if known[:, h].any() else 1.0 for h in (0, 1)]
-        errors.append(float(means[0] * means[1]))
+        means = [away[known[:, h], h].mean() if known[:, h].any() else 1.0 for h in range(known.shape[1])]
+        errors.append(math.prod(means))
     return max(base for base, error in enumerate(errors) if error <= ALIKE * min(errors))
 
 
@@ -130,11 +134,11 @@ def features_of(d: int, raw: Floats, lags: Floats, base: int, slow: float, daily
 
 
 def targets_of(seen: Seen, lags: Floats, base: int, ahead: Floats) -> tuple[Singles, Singles]:
-    """What the forests are grown for: where states are at all horizons but the first, each number over its spread.
+    """What the forests are grown for: where states are at the horizons from ``GROWN`` on, each number over its spread.
 
     Of a track that ends before, the map learns where; the own frame, which that tells nothing, the mean of the others.
     """
-    moves, alive, ahead = seen.moves[:, 1:], seen.alive[:, 1:], ahead[1:]
+    moves, alive, ahead = seen.moves[:, GROWN:], seen.alive[:, GROWN:], ahead[GROWN:]
     residuals, out = np.empty_like(moves), []
     targets(seen.raw, seen.d, lags, base, moves, ahead, residuals)
     for every, known in ((moves, np.ones_like(alive)), (residuals, alive)):
@@ -161,7 +165,10 @@ def forests_of(
         guides: forests that grow on by the states from ``old`` on, which are one more block.
     """
     blocks = int(block.max()) + 1
-    sizes, leaves = (MAP_TREES, OWN_TREES), (MAP_LEAF, OWN_LEAF)
+    more = min(max(FEW // len(block), 1), MORE)
+    sizes = [trees * more for trees in TREES]
+    if guides is not None:
+        sizes = [len(guide.first_node) - 1 for guide in guides]
     sees = _sight(sizes[0], blocks, 0), _sight(sizes[1], blocks, 1)
     every = [(which, tree) for which in (0, 1) for tree in range(sizes[which])]
 
@@ -178,7 +185,7 @@ def forests_of(
             rows = np.concatenate([kept, rows])
         nodes, seed = np.zeros((len(rows) + len(guide), 4), dtype=np.int32), 1 + which * 1000 + tree
         tried = x[which].shape[1] // 2
-        count = forest.grow(x[which], y[which], rows, leaves[which], tried, seed, guide, nodes, nodes.view(np.float32))
+        count = forest.grow(x[which], y[which], rows, LEAVES[which], tried, seed, guide, nodes, nodes.view(np.float32))
         return rows, nodes[:count].copy()
 
     grown = thread_map(one, every, threads, progress)
@@ -250,7 +257,7 @@ def weighed(
                 (weight[:, None] * near[:, h]).sum(axis=0), (weight[:, None, None] * cross[:, h]).sum(axis=0),
                 shares[b, h],
             )  # fmt: skip
-    doubts = np.array([_doubt((known - plain)[there[:, 1] & (bin_of == b)]) for b in range(len(centres))])
+    doubts = np.array([_doubt((known - plain)[there[:, weighing.KNOWN] & (bin_of == b)]) for b in range(len(centres))])
     doubts = np.maximum.accumulate(doubts)  # what is less known is not more certain
     if not (np.diff(centres) > 0).all():
         centres, shares, doubts = centres[-1:], shares[-1:], doubts[-1:]

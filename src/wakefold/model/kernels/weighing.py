@@ -17,6 +17,8 @@ from wakefold.model.kernels.recall import (
     ways_down,
 )
 
+KNOWN = 2  # the horizon at which it is asked whether an agent goes a known way
+
 
 @kernel
 def held_out(
@@ -31,7 +33,7 @@ def held_out(
         near: (n, H, 7) mean distance of each member's positions from the truth.
         cross: (n, H, 7, 7) mean distance between positions of two members.
         floor: metres; width that densities have at least.
-        strange: (n,) novelty. known, plain: (n,) log-densities of the truth at the second horizon, see ``foretold``.
+        strange: (n,) novelty. known, plain: (n,) log-densities of the truth at the horizon ``KNOWN``, see ``foretold``.
     """
     d, none, no = past.points.shape[1], np.empty((0, 2), dtype=np.int64), np.empty(0)
     trees = use_map.shape[1] + use_own.shape[1]
@@ -52,10 +54,10 @@ def held_out(
                 raw[i], past, used, ranges[: len(there)], there, past.horizons[h], counts, none, no, dice, rows, out
             )
             _distances(out, raw[i], moved_to[i, h], draws, near[i, h], cross[i, h])
-        if alive[i, 1]:
-            at, room = raw[i, :d] + moved_to[i, 1], ranges[: len(there)]
+        if alive[i, KNOWN]:
+            at, room = raw[i, :d] + moved_to[i, KNOWN], ranges[: len(there)]
             known[i], plain[i] = foretold(
-                raw[i], past, used, room, there, strange[i], past.horizons[1], at, floor, dice, draws
+                raw[i], past, used, room, there, strange[i], past.horizons[KNOWN], at, floor, dice, draws
             )
 
 
