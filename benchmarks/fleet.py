@@ -34,7 +34,7 @@ from wakefold.evidence.fix import on_plane
 from wakefold.experiments.harbour import demo
 from wakefold.model.model import Model, learn, load
 from wakefold.service import answers, feed
-from wakefold.service.fleet import Crowd
+from wakefold.service.fleet import Fleet
 from wakefold.service.remarks import Remarks
 from wakefold.tracks.projection import Projection
 from wakefold.tracks.tracks import Tracks
@@ -94,7 +94,7 @@ def resident() -> int:
 
 def crowd_of(name: FilterName, model: Model, levels: list[float]) -> Callable[[bytes], None]:
     """Takes a block of lines and answers them, into nowhere."""
-    crowd = Crowd(
+    crowd = Fleet(
         follower(name, model, {**SETTINGS, "levels": levels}), levels, HORIZONS, AGENTS, 1e9, Remarks(_nothing)
     )
 

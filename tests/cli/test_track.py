@@ -158,7 +158,7 @@ def test_agents_are_bounded_and_a_long_silence_starts_anew(room: Path) -> None:
 
 def test_what_is_kept_of_agents_met_is_bounded(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(fleet, "REMEMBERED", 3)
-    crowd = fleet.Crowd(wf.BL2(wf.load("harbour.model"), 5), [], [], 2, 1e9, Remarks(lambda line: None))
+    crowd = fleet.Fleet(wf.BL2(wf.load("harbour.model"), 5), [], [], 2, 1e9, Remarks(lambda line: None))
     for i in range(50):
         names = f"agent {i}", f"agent {i - i % 2}"  # some come back
         assert sum(map(len, crowd([Observation(i, name, float(i), float(i)) for name in names]))) == 2
@@ -179,7 +179,7 @@ def test_a_block_is_answered_as_its_lines_one_by_one(filter: str, room: Path, mo
     for size, wait in ((1, 1e9), (5, 1e9), (99, 1e9), (99, -1.0)):
         monkeypatch.setattr(fleet, "WAIT", wait)
         follower = followers.follower(followers.FilterName(filter), model, {"particles": 30, "levels": [300.0]})
-        crowd = fleet.Crowd(follower, [300.0, 1000.0], [60.0, 300.0], 10, 1e9, Remarks(print))
+        crowd = fleet.Fleet(follower, [300.0, 1000.0], [60.0, 300.0], 10, 1e9, Remarks(print))
         lines = [(n, line.encode()) for n, line in enumerate(spoilt, 2)]
         blocks = [[(1, header.encode())], *(lines[k : k + size] for k in range(0, len(lines), size))]
         parts = [part for block in feed.read(blocks) for part in crowd(block)]
@@ -194,7 +194,7 @@ def test_a_block_is_answered_as_its_lines_one_by_one(filter: str, room: Path, mo
 def test_an_album_keeps_a_handful_of_moments_however_long_the_feed(room: Path) -> None:
     model = wf.load("harbour.model")
     follower = wf.BL1(model, 20)
-    crowd = fleet.Crowd(follower, [300.0], [], 10, 1e9, Remarks(print))
+    crowd = fleet.Fleet(follower, [300.0], [], 10, 1e9, Remarks(print))
     album = pictures.Album([300.0])
     for i in range(100):
         seen = Observation(i, "a", float(i), float(i), wf.Fix(model.tracks[0][0]))

@@ -268,6 +268,7 @@ ANSWERS = st.builds(
     st.integers(0, 9),
     st.lists(BEST, max_size=3),
     st.lists(st.tuples(NUMBERS, PLACES), max_size=2),
+    st.none() | st.floats(0, 1),
 )
 
 
@@ -279,6 +280,7 @@ def test_lines_of_answers_are_what_csv_and_json_write(one: answers.Answer) -> No
         return {**values, "sd": float(f"{p.sd:.4g}")}
 
     cells = [one.agent, one.stamp, one.event, *place(one.place).values(), f"{one.ess:.1f}", one.recoveries]
+    cells += [] if one.none is None else [f"{one.none:.4f}"]
     for b in one.levels:
         cells += [b.class_, f"{b.probability:.6f}", b.tracks]
     for _, p in one.ahead:
@@ -288,6 +290,7 @@ def test_lines_of_answers_are_what_csv_and_json_write(one: answers.Answer) -> No
     assert answers.csv_line(one) == out.getvalue()
     row = {"agent": one.agent, "time": one.stamp, "event": one.event, "estimate": place(one.place)}
     row |= {"ess": round(one.ess, 1), "recoveries": one.recoveries}
+    row |= {} if one.none is None else {"none": round(one.none, 4)}
     row["levels"] = [
         {"level": b.level, "class": b.class_, "probability": round(b.probability, 6), "tracks": b.tracks}
         for b in one.levels

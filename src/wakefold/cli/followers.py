@@ -9,11 +9,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from wakefold.cli import options
 
 if TYPE_CHECKING:
+    from wakefold.filters.trail import Trail
     from wakefold.model.model import Model
+    from wakefold.service.agents import Crowd
     from wakefold.service.fleet import Follower
+    from wakefold.service.remarks import Remarks
 
 
 class FilterName(StrEnum):
+    trail = "trail"
     mhpf = "mhpf"
     bl1 = "bl1"
     bl1_coarse = "bl1+coarse"
@@ -30,7 +34,13 @@ class Kind(NamedTuple):
     """
 
     reads: frozenset[str]
-    make: Callable[..., Follower]
+    make: Callable[..., Follower | Trail]
+
+
+def _trail(model: Model, levels: Any, **settings: Any) -> Trail:
+    from wakefold.filters.trail import Trail
+
+    return Trail(model, **settings)
 
 
 def _mhpf(model: Model, **settings: Any) -> Follower:
@@ -61,9 +71,11 @@ def _calibrated(model: Model, levels: Any, **settings: Any) -> Follower:
     return Calibrated(model, **settings)
 
 
-_ALL = frozenset({"sd", "particles", "seed"})
+_EVERY = frozenset({"sd", "seed"})
+_ALL = _EVERY | {"particles"}
 _DRAWN = _ALL | {"levels", "likelihood", "depletion"}
 FILTERS = {
+    FilterName.trail: Kind(_EVERY | {"levels"}, _trail),
     FilterName.mhpf: Kind(_DRAWN | {"rule"}, _mhpf),
     FilterName.bl1: Kind(_DRAWN, _bl1),
     FilterName.bl1_coarse: Kind(_DRAWN, _bl1_coarse),
@@ -81,7 +93,19 @@ def check(name: FilterName, given: Mapping[str, str]) -> None:
             options.wrong(given[setting], f"--filter {name.value} does not read it; {', '.join(readers)} do")
 
 
-def follower(name: FilterName, model: Model, settings: Mapping[str, Any]) -> Follower:
+def follower(name: FilterName, model: Model, settings: Mapping[str, Any]) -> Follower | Trail:
     """The filter with those of the settings that it reads; what is None is as the filter has it by itself."""
     kind = FILTERS[name]
     return kind.make(model, **{k: v for k, v in settings.items() if k in kind.reads and v is not None})
+
+
+def crowd(
+    filter: Follower | Trail, levels: list[float], horizons: list[float], most: int, silence: float, remarks: Remarks
+) -> Crowd:
+    """The crowd that is followed by a filter: in columns by ``Trail``, one by one by the others."""
+    from wakefold.filters.trail import Trail
+    from wakefold.service.columns import Columns
+    from wakefold.service.fleet import Fleet
+
+    kind: Any = Columns if isinstance(filter, Trail) else Fleet
+    return kind(filter, levels, horizons, most, silence, remarks)

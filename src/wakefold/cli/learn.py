@@ -153,6 +153,8 @@ def learn(
             executor=None if executor is ExecutorName.threads else options.ray_workers(threads),
             checkpoint=checkpoint,
         )
+    with progress("remembering") as update:
+        model.remember(threads, update)
     shaping = {**dict.fromkeys(SHAPING), **cuts, "spacing": step}
     with naming(output):
         replace(model, shaping=shaping).save(output)

@@ -10,7 +10,7 @@ import typer
 
 from wakefold.cli import console, options
 from wakefold.cli.console import guarded, progress, say
-from wakefold.cli.followers import FILTERS, FilterName, check, follower
+from wakefold.cli.followers import FILTERS, FilterName, check, crowd, follower
 from wakefold.cli.options import Columns, TimeFormat, arg, opt
 
 
@@ -55,7 +55,7 @@ def track(
     ] = None,
     filter: Annotated[
         FilterName, typer.Option(help="The filter that follows. An option that it does not read is refused.")
-    ] = FilterName.mhpf,
+    ] = FilterName.trail,
     rule: Annotated[RuleName | None, opt("Update rule of mhpf; arxiv2016 if not given.")] = None,
     likelihood: Annotated[
         LikelihoodName, typer.Option(help="How a fix weighs particles; log is the papers' way.")
@@ -133,20 +133,21 @@ def track(
         if path.exists() and Path(observations).exists() and path.samefile(observations):
             options.wrong("--output", f"{output} holds the observations")
     known = wf.load(model)
-    if horizons and horizons[-1] > (most := fleet.longest_step(known)):
-        options.wrong("--forecast", f"{horizons[-1]:g} s is too far ahead for this model, {most:g} s at most")
     heights = options.heights(asked, known.filtration)
     following = follower(filter, known, {**settings, "levels": heights})
+    most = following.limit if isinstance(following, wf.Trail) else fleet.longest_step(known)
+    if horizons and horizons[-1] > most:
+        options.wrong("--forecast", f"{horizons[-1]:g} s is too far ahead for this model, {most:g} s at most")
     if depletion and isinstance(following, ParticleFilter) and not following.redrawn:
         say(f"--depletion {depletion:g} of {particles:,} particles is none: no class is drawn anew while an agent is "
             f"followed; more than {0.5 / particles:g} draws one")  # fmt: skip
-    crowd = fleet.Crowd(following, heights, horizons, max_agents, silence, Remarks(say))
+    live = crowd(following, heights, horizons, max_agents, silence, Remarks(say))
     pages = album.Album(heights) if picture is not None else None
     form = options.form_of_name(output) if format is None else format.value
     with progress("following", shown=output != "-") as update:
         try:
             refused = follow.run(
-                crowd, observations, output, form, names, time_format, frozenset(agent or ()), pages, update, say
+                live, observations, output, form, names, time_format, frozenset(agent or ()), pages, update, say
             )
         finally:
             if pages is not None and pages.agent is not None and picture is not None:

@@ -18,6 +18,7 @@ from wakefold.evidence.evidence import Evidence, in_order
 from wakefold.evidence.fix import Fix
 from wakefold.filters.belief import Belief, Estimate
 from wakefold.filters.kernels import trail as kernel
+from wakefold.filters.kernels.fleet import effective
 from wakefold.filters.kernels.trail import REPORTS, SLOTS, Trails
 from wakefold.model.memory import Memory
 
@@ -53,6 +54,10 @@ class TrailBelief(Belief):
     """
 
     filter = "Trail"
+    trails: Trails
+    memory: Memory | None
+    ahead: float
+    samples: int
 
     def __init__(
         self,
@@ -116,7 +121,7 @@ class TrailBelief(Belief):
     @property
     def ess(self) -> float:
         """Effective number of tracks that the agent may be on."""
-        return float(1.0 / np.square(self._masses).sum())
+        return float(effective(self._masses))
 
     @cached_property
     def _none(self) -> float:
@@ -206,7 +211,7 @@ class TrailBelief(Belief):
             KeyError, TypeError, ValueError: something is missing or unsound.
         """
         empty = columns(1, arrays["points"].shape[2])
-        trails = Trails(*(np.array(arrays[name]) for name in Trails._fields))
+        trails = Trails._make(np.array(arrays[name]) for name in Trails._fields)
         for name, blank, own in zip(Trails._fields, empty, trails, strict=True):
             if own.shape != blank.shape or own.dtype != blank.dtype:
                 raise ValueError(f"its {name} are {own.dtype} {own.shape}")
@@ -317,7 +322,7 @@ class Trail:
             else:
                 interval, odds = self.interval(item, level)
                 if odds != 1.0:
-                    kernel.report(trails, _ONE, interval, np.array([odds]))
+                    kernel.report(trails, 0, *interval, odds)
         return own._of(trails, time=now, ahead=0.0, recoveries=own.recoveries + lost, memory=self.memory)
 
     def _moment(self, belief: TrailBelief, dt: float | None, time: Time | None) -> tuple[float, float | None]:
@@ -343,20 +348,18 @@ class Trail:
 
     def _put(self, trails: Trails, fix: Fix, at: float) -> bool:
         """Put a fix in its place; whether the agent was lost at it."""
-        position = np.zeros((1, trails.points.shape[2]))
-        position[0, : self.model.tracks.dim] = fix.on_plane(self.model.tracks.projection, self.model.tracks.dim)
-        begun, sd = np.zeros(1, dtype=bool), np.array([self.sd if fix.sd is None else fix.sd])
-        kernel.put(trails, _ONE, np.array([at]), position, sd, self.fastest, begun)
-        return bool(begun[0])
+        position = np.zeros(trails.points.shape[2])
+        position[: self.model.tracks.dim] = fix.on_plane(self.model.tracks.projection, self.model.tracks.dim)
+        return bool(kernel.put(trails, 0, float(at), position, self.sd if fix.sd is None else fix.sd, self.fastest))
 
-    def interval(self, item: CoarseClass, level: float) -> tuple[Ints, float]:
-        """The leaf ranks (1, 2) of the class of a report, and the odds of each other class of the level against it."""
+    def interval(self, item: CoarseClass, level: float) -> tuple[tuple[int, int], float]:
+        """The leaf ranks of the class of a report, and the odds of each other class of the level against it."""
         tree = self.model.filtration
         others = len(tree.cuts(level)) - 2
         if others == 0:
-            return np.zeros((1, 2), dtype=np.int64), 1.0
+            return (0, len(tree)), 1.0
         odds = (1.0 - item.confidence) / (others * item.confidence)
-        return np.array([[tree.lo[item.class_], tree.hi[item.class_]]]), max(odds, LEAST_ODDS)
+        return (int(tree.lo[item.class_]), int(tree.hi[item.class_])), max(odds, LEAST_ODDS)
 
     @overload
     def forecast(self, belief: Belief, horizon: float) -> TrailBelief: ...
@@ -399,4 +402,4 @@ class Trail:
 
 
 def _copied(trails: Trails) -> Trails:
-    return Trails(*(column.copy() for column in trails))
+    return Trails._make(column.copy() for column in trails)

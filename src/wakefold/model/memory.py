@@ -175,7 +175,7 @@ class Memory(Remembers):
             name: arrays[name]
             for name in ("points", "begins", "going", "lags", "shares", "masses", "unusual", "doubts")
         }
-        numbers = {name: float(meta[name]) for name in ("step", "unit", "slow")}
+        numbers: dict[str, Any] = {name: float(meta[name]) for name in ("step", "unit", "slow")}
         made = cls(
             **own, **numbers, base=int(meta["base"]), daily=bool(meta["daily"]), dim=int(meta["dim"]),
             rank=filtration.rank, ways=_trees_of(arrays, "ways"), own=_trees_of(arrays, "own"),

@@ -176,13 +176,13 @@ def forests_of(
         which, tree = which_tree
         rng = np.random.default_rng([which, tree])
         seen, guide = np.flatnonzero(sees[which][tree][block]), np.zeros((0, 4), dtype=np.int32)
+        kept = np.zeros(0, dtype=np.int32)
         if guides is not None:
             kept, guide = _tree(guides[which], tree)
             rng = np.random.default_rng([which, tree, old])
             seen = old + np.arange(len(block) - old) if rng.random() >= LEFT_OUT else seen[:0]
         rows = (seen[rng.random(len(seen)) < KEPT] if len(block) > 100 else seen).astype(np.int32)
-        if guides is not None:
-            rows = np.concatenate([kept, rows])
+        rows = np.concatenate([kept, rows])
         nodes, seed = np.zeros((len(rows) + len(guide), 4), dtype=np.int32), 1 + which * 1000 + tree
         tried = x[which].shape[1] // 2
         count = forest.grow(x[which], y[which], rows, LEAVES[which], tried, seed, guide, nodes, nodes.view(np.float32))
@@ -261,7 +261,7 @@ def weighed(
     doubts = np.maximum.accumulate(doubts)  # what is less known is not more certain
     if not (np.diff(centres) > 0).all():
         centres, shares, doubts = centres[-1:], shares[-1:], doubts[-1:]
-    masses = _masses(past, tree, told[0], told[1], use[0], block, past.track[asked])
+    masses = _masses(past, tree, told[0], told[1], use[0], block, past.track[asked].astype(np.int64))
     return {"shares": shares, "unusual": centres, "doubts": doubts, "masses": masses}
 
 

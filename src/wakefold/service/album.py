@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from wakefold.service.agents import Crowd
 from wakefold.service.feed import Observation
-from wakefold.service.fleet import Crowd
 
 if TYPE_CHECKING:
     from wakefold.filters.belief import Belief
@@ -37,7 +37,7 @@ class Album:
         self.agent = seen.agent if self.agent is None else self.agent
         if seen.agent != self.agent:
             return
-        tracks = crowd.filter.model.tracks
+        tracks = crowd.model.tracks
         if seen.fix is not None and len(self._fixes) < 10_000:
             self._fixes.append(seen.fix.on_plane(tracks.projection, tracks.dim)[:2])
         if self._steps % self._stride == 0:

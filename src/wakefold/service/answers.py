@@ -33,6 +33,7 @@ class Answer(NamedTuple):
             silence or where times went back; instead of each "off-map" if the estimate lies more than 6 sd from the fix
             all the same.
         ahead: (seconds, place) of each forecast.
+        none: probability that the agent goes none of the ways known; None of filters that cannot tell.
     """
 
     agent: str
@@ -43,11 +44,16 @@ class Answer(NamedTuple):
     recoveries: int
     levels: Sequence[Best]
     ahead: Sequence[tuple[float, Place]]
+    none: float | None = None
 
 
-def csv_header(place: Sequence[str], levels: Sequence[float], ahead: Sequence[float]) -> str:
-    """The header over ``csv_line`` of answers with these levels (metres) and forecasts (seconds)."""
-    names = ["agent", "time", "event", *place, "sd", "ess", "recoveries"]
+def csv_header(place: Sequence[str], levels: Sequence[float], ahead: Sequence[float], doubting: bool = False) -> str:
+    """The header over ``csv_line`` of answers with these levels (metres) and forecasts (seconds).
+
+    Args:
+        doubting: whether answers tell how likely it is that an agent goes none of the ways known.
+    """
+    names = ["agent", "time", "event", *place, "sd", "ess", "recoveries", *(["none"] if doubting else [])]
     for level in _distinct(levels):
         names += [f"class@{level}", f"probability@{level}", f"tracks@{level}"]
     for seconds in _distinct(ahead):
@@ -65,6 +71,7 @@ def csv_line(answer: Answer) -> str:
     """One line, with its end."""
     cells = [_cell(answer.agent), _cell(answer.stamp), answer.event, *_place(answer.place)]
     cells += [f"{answer.ess:.1f}", str(answer.recoveries)]
+    cells += [] if answer.none is None else [f"{answer.none:.4f}"]
     for best in answer.levels:
         cells += [str(best.class_), f"{best.probability:.6f}", str(best.tracks)]
     for _, place in answer.ahead:
@@ -81,12 +88,16 @@ def json_line(answer: Answer) -> str:
     text = (
         f'{{"agent": {_text(answer.agent)}, "time": {_text(answer.stamp)}, "event": "{answer.event}", '
         f'"estimate": {{{_pairs(answer.place)}}}, "ess": {round(answer.ess, 1)!r}, '
-        f'"recoveries": {answer.recoveries}, "levels": [{levels}]'
+        f'"recoveries": {answer.recoveries}, {_none(answer)}"levels": [{levels}]'
     )
     if answer.ahead:
         ahead = ", ".join(f'{{"seconds": {seconds!r}, {_pairs(place)}}}' for seconds, place in answer.ahead)
         text += f', "forecast": [{ahead}]'
     return text + "}\n"
+
+
+def _none(answer: Answer) -> str:
+    return "" if answer.none is None else f'"none": {round(answer.none, 4)!r}, '
 
 
 def _place(place: Place) -> list[str]:

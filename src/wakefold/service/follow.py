@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, cast
 
 from wakefold.base.files import opened
 from wakefold.base.wording import counted
+from wakefold.service.agents import Crowd
 from wakefold.service.album import Album
 from wakefold.service.answers import csv_header, csv_line, json_line
 from wakefold.service.feed import Refused, blocks_of, feed_of, form_of, read
-from wakefold.service.fleet import Crowd
 
 if TYPE_CHECKING:
     from wakefold.io.read import Columns
@@ -65,7 +65,7 @@ def run(
     met: set[str] = set()
     with opened(output) as out:
         if form == "csv":
-            out.write(csv_header(crowd.place_names, crowd.levels, crowd.horizons))
+            out.write(csv_header(crowd.place_names, crowd.levels, crowd.horizons, crowd.doubting))
             out.flush()
         line_of = csv_line if form == "csv" else json_line
         try:

@@ -88,44 +88,48 @@ def _put(times, points, count, at, position):
     return count + 1
 
 
-@kernel
-def put(trails, rows, at, positions, sd, fastest, begun):
-    """Put a fix (n, d) of a time (n,) into the trail of each of the rows (n,), one after the other.
+@inner
+def put_one(trails, r, at, position, sd, fastest):
+    """Put a fix (d,) of a time into its place in a trail; whether it began a new one.
 
-    A fix that takes more than ``fastest`` m/s to get to, beyond its error of ``sd`` (n,), begins a new trail.
-
-    Args:
-        begun: (n,) is set where that is so.
+    So it does if it takes more than ``fastest`` m/s to get to, beyond its error.
     """
-    for i in range(len(rows)):
-        r = rows[i]
-        n = trails.fixes[r]
-        if n and at[i] >= trails.times[r, n - 1]:
-            away = 0.0
-            for k in range(positions.shape[1]):
-                away += (positions[i, k] - trails.points[r, n - 1, k]) ** 2
-            far = fastest * (at[i] - trails.times[r, n - 1]) + LOST * (sd[i] + trails.sd[r])
-            begun[i] = math.sqrt(away) > far
-            if begun[i]:
-                n = 0
-        trails.fixes[r] = _put(trails.times[r], trails.points[r], n, at[i], positions[i])
-        trails.sd[r] = sd[i]
+    n, far = trails.fixes[r], False
+    if n and at >= trails.times[r, n - 1]:
+        away = 0.0
+        for k in range(len(position)):
+            away += (position[k] - trails.points[r, n - 1, k]) ** 2
+        far = math.sqrt(away) > fastest * (at - trails.times[r, n - 1]) + LOST * (sd + trails.sd[r])
+        if far:
+            n = 0
+    trails.fixes[r] = _put(trails.times[r], trails.points[r], n, at, position)
+    trails.sd[r] = sd
+    return far
 
 
 @kernel
-def report(trails, rows, intervals, odds):
-    """Add a report, (n, 2) leaf ranks and (n,) odds, to the trail of each row; of too many the oldest goes."""
-    for i in range(len(rows)):
-        r = rows[i]
-        n = trails.told[r]
-        if n == REPORTS:
-            for j in range(n - 1):
-                trails.reports[r, j] = trails.reports[r, j + 1]
-                trails.odds[r, j] = trails.odds[r, j + 1]
-            n -= 1
-        trails.reports[r, n, 0], trails.reports[r, n, 1] = intervals[i, 0], intervals[i, 1]
-        trails.odds[r, n] = odds[i]
-        trails.told[r] = n + 1
+def put(trails, r, at, position, sd, fastest):
+    """``put_one`` for Python."""
+    return put_one(trails, r, at, position, sd, fastest)
+
+
+@inner
+def add_report(trails, r, lo, hi, odds):
+    """Add a report of the leaf ranks lo..hi to a trail; of too many the oldest goes."""
+    n = trails.told[r]
+    if n == REPORTS:
+        for j in range(n - 1):
+            trails.reports[r, j] = trails.reports[r, j + 1]
+            trails.odds[r, j] = trails.odds[r, j + 1]
+        n -= 1
+    trails.reports[r, n, 0], trails.reports[r, n, 1], trails.odds[r, n] = lo, hi, odds
+    trails.told[r] = n + 1
+
+
+@kernel
+def report(trails, r, lo, hi, odds):
+    """``add_report`` for Python."""
+    add_report(trails, r, lo, hi, odds)
 
 
 class Room(NamedTuple):
