@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test lint types reproduce-quick check lock bench clean
+.PHONY: setup demo test lint types reproduce-quick check fuzz lock bench clean
 setup: .venv/ready
 
 .venv/ready: requirements/dev.txt pyproject.toml
@@ -29,6 +29,9 @@ reproduce-quick: setup  ## every experiment of the papers with a few runs, about
 	$(BIN)/wakefold reproduce --quick --out out/reproduced-quick
 
 check: lint types test reproduce-quick
+
+fuzz: setup          ## 20,000 spoilt files, some minutes; WAKEFOLD_SEED=1 for others
+	WAKEFOLD_FUZZ=20000 $(BIN)/python -m pytest tests/io/test_io_mutated.py
 
 lock:                ## renew the locks after a change of pyproject.toml (needs uv)
 	uv pip compile --universal --generate-hashes --no-emit-index-url --python-version 3.11 --extra dev --extra demo -q -o requirements/dev.txt pyproject.toml

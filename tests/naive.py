@@ -261,23 +261,37 @@ def clean_rows(rows, max_speed):
                 counts["duplicate" if kept[-1][2:] == row[2:] else "same time"] += 1
             else:
                 kept.append(row)
-        tracks[agent] = [row for i, row in enumerate(kept) if not is_jump(kept, i, max_speed)]
-        counts["jump"] += len(kept) - len(tracks[agent])
-    return {agent: track for agent, track in tracks.items() if track}, counts
+        tracks[agent] = kept
+    more = {}
+    for agent, track in tracks.items():
+        first, *others = sorted(bodies(track, max_speed), key=lambda strand: -len(strand))
+        tracks[agent] = first
+        for k, other in enumerate(others):
+            if len(other) >= 3:
+                more[f"{agent}#{k + 2}"] = other
+            else:
+                counts["jump"] += len(other)
+    return tracks | more, counts
 
 
-def is_jump(track, i, max_speed):
-    def fast(a, b):
-        return math.dist(track[a][2:], track[b][2:]) > max_speed * (track[b][1] - track[a][1])
-
-    last = len(track) - 1
-    if last < 2:
-        return False
-    if i == 0:
-        return fast(0, 1) and not fast(1, 2)
-    if i == last:
-        return fast(last - 1, last) and not fast(last - 2, last - 1)
-    return fast(i - 1, i) and fast(i, i + 1)
+def bodies(track, max_speed, most=8):
+    """Rows of one agent in order of time, taken apart into strands without a leg above ``max_speed``."""
+    strands, waiting = [], []
+    for row in track:
+        near = [
+            (math.dist(strand[-1][2:], row[2:]), k)
+            for k, strand in enumerate(waiting)
+            if math.dist(strand[-1][2:], row[2:]) <= max_speed * (row[1] - strand[-1][1])
+        ]
+        if near:
+            waiting[min(near)[1]].append(row)
+            continue
+        strands.append([row])
+        if len(waiting) < most:
+            waiting.append(strands[-1])
+        else:
+            waiting[min(range(most), key=lambda k: waiting[k][-1][1])] = strands[-1]
+    return strands
 
 
 # Relations ----------------------------------------------------------------------------------------------------------

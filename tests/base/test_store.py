@@ -1,7 +1,8 @@
 """Stored directories: back bit for bit, and anything else refused."""
 
+import hashlib
 import json
-from pathlib import Path
+import os
 
 import numpy as np
 import pytest
@@ -143,24 +144,79 @@ def test_nothing_is_unpickled(tmp_path, stored):
         store.load(stored, "thing")
 
 
-@pytest.mark.parametrize("nth", [1, 2])
-def test_ctrl_c_between_the_renames_leaves_what_was_there(tmp_path, monkeypatch, nth):
-    target = tmp_path / "kept"
-    store.save(target, {"x": np.arange(3)}, {}, "thing")
-    rename, calls = Path.rename, []
+def test_a_link_to_a_store_stays_a_link(tmp_path, stored):
+    (tmp_path / "latest").symlink_to(stored)
+    store.save(tmp_path / "latest", {"x": np.arange(4)}, {}, "thing")
+    assert (tmp_path / "latest").is_symlink()
+    assert store.load(stored, "thing")[0]["x"].tolist() == [0, 1, 2, 3]
 
-    def interrupted(self, to):
-        calls.append(to)
-        if len(calls) == nth:
-            raise KeyboardInterrupt
-        return rename(self, to)
 
-    monkeypatch.setattr(Path, "rename", interrupted)
-    with pytest.raises(KeyboardInterrupt):
-        store.save(target, {"x": np.arange(4)}, {}, "thing")
-    monkeypatch.undo()
-    assert store.load(target, "thing")[0]["x"].tolist() == [0, 1, 2]
-    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
+def test_a_store_with_files_of_others_is_not_replaced(stored):
+    for name in ("notes.txt", "heights.npy.bak", "sub"):
+        path = stored / name
+        path.mkdir() if name == "sub" else path.write_text("mine")
+        with pytest.raises(StoreError, match=f"holds what is no part of a stored thing, and is not replaced: {name!r}"):
+            store.save(stored, {"x": np.arange(4)}, {}, "thing")
+        assert path.exists()
+        path.rmdir() if name == "sub" else path.unlink()
+    store.load(stored, "thing")
+
+
+def test_devices_and_links_in_the_place_of_files_are_refused(tmp_path, stored):
+    manifest = (stored / store.MANIFEST).read_bytes()
+    for name in (store.MANIFEST, "heights.npy"):
+        path = stored / name
+        content = path.read_bytes()
+        path.unlink()
+        for link in ("/dev/zero", "/dev/stdin", tmp_path / "copy"):
+            (tmp_path / "copy").write_bytes(content)
+            path.symlink_to(link)
+            with pytest.raises(StoreError):
+                store.load(stored, "thing")
+            path.unlink()
+        os.mkfifo(path)
+        with pytest.raises(StoreError, match="regular file"):
+            store.load(stored, "thing")
+        path.unlink()
+        path.write_bytes(content)
+    assert (stored / store.MANIFEST).read_bytes() == manifest
+    store.load(stored, "thing")
+
+
+def test_sizes_that_are_claimed_are_not_allocated(stored):
+    """An array of 1e12 rows, in the manifest and in the file's own header, and numbers of 400 digits."""
+    shapes = {"heights": [10**12], "nothing": [0, 10**12], "table": [10**6, 10**6], "mask": [10**400]}
+    for name, shape in shapes.items():
+        before = (stored / f"{name}.npy").read_bytes()
+        header = str({"descr": ARRAYS[name].dtype.str, "fortran_order": False, "shape": tuple(shape)})
+        header = header.ljust(118 + 1024) + "\n"
+        raw = b"\x93NUMPY\1\0" + len(header).to_bytes(2, "little") + header.encode() + before[128:]
+        (stored / f"{name}.npy").write_bytes(raw)
+        manifest = (stored / store.MANIFEST).read_text()
+        edit(
+            stored,
+            lambda m, n=name, s=shape, r=raw: m["arrays"][n].update(
+                shape=s, bytes=len(r), sha256=hashlib.sha256(r).hexdigest()
+            ),
+        )
+        if name == "nothing":
+            assert store.load(stored, "thing")[0]["nothing"].shape == (0, 10**12)
+        else:
+            with pytest.raises(StoreError):
+                store.load(stored, "thing")
+        (stored / f"{name}.npy").write_bytes(before)
+        (stored / store.MANIFEST).write_text(manifest)
+    edit(stored, lambda m: m["meta"].update(nested=[10**400]))
+    with pytest.raises(StoreError, match="over 128 bits"):
+        store.load(stored, "thing")
+
+
+def test_errors_of_the_system_are_ours(tmp_path, stored):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError, match="cannot be written"):
+        store.save(tmp_path / "file" / "thing", ARRAYS, {}, "thing")
+    with pytest.raises(StoreError, match="cannot be written"):
+        store.save(tmp_path / ("n" * 300), ARRAYS, {}, "thing")
 
 
 def test_a_store_has_the_permissions_of_any_directory(tmp_path):

@@ -196,7 +196,7 @@ def test_many_blocks_agree_with_one(tmp_path, monkeypatch):
     whole, report = read(tmp_path, *lines, max_speed=None)
     monkeypatch.setattr("wakefold.io.source.BLOCK", 1000)
     monkeypatch.setattr("wakefold.io.source.HEAD", 1000)
-    monkeypatch.setattr("wakefold.io.source.Source.blocks.__defaults__", (1000,))
+    monkeypatch.setattr("wakefold.io.source.Source.blocks.__defaults__", (1000, None))
     pieces, report_of_pieces = read(tmp_path, *lines, max_speed=None)
     assert report == report_of_pieces
     assert report.rows == report.kept + sum(report.rejected.values())

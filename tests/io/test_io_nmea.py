@@ -106,9 +106,9 @@ def test_destination_of_a_static_message_in_two_sentences(tmp_path):
 def test_clock_of_a_base_station(tmp_path):
     lines = [position(second=50), clock(second=58), position(second=2, lat=40.601), position(second=57, lat=40.602)]
     tracks, report = read(tmp_path, *lines)
-    np.testing.assert_array_equal(tracks.times, [START + 57, START + 62])
-    assert report.rejected == {"no time": 1}
-    assert "2 positions are timed by the clock of a base station (message 4)" in report.notes
+    np.testing.assert_array_equal(tracks.times, [START + 50, START + 57, START + 62])
+    assert report.rejected == {}
+    assert "3 positions are timed by the clock of a base station (message 4)" in report.notes
 
 
 def test_no_time_at_all_is_refused(tmp_path):

@@ -53,19 +53,20 @@ def test_collector_against_loops(rows, cuts, max_speed):
         np.testing.assert_array_equal(tracks[i], [row[2:] for row in track])
     assert report.rejected == {reason: count for reason, count in counts.items() if count}
     assert report.rows == len(rows) == report.kept + sum(report.rejected.values())
-    names = [[f"{a}{t}" for a, t, *_ in rows if a == agent and t % 2] for agent in expected]
+    names = [[f"{a}{t}" for a, t, *_ in rows if a == agent[0] and t % 2] for agent in expected]
     assert list(tracks.attributes["name"]) == [known[-1] if known else "" for known in names]
 
 
-def test_an_end_goes_only_if_its_neighbour_is_right():
+def test_what_is_too_far_for_its_neighbours_is_a_jump():
     codes, time = np.zeros(4, dtype=np.int32), np.arange(4.0)
     for x, expected in (
-        ([0.0, 50.0, 50.5, 51.0], [True, False, False, False]),
-        ([0.0, 50.0, 1.0, 1.5], [False, True, False, False]),
-        ([0.0, 0.5, 1.0, 50.0], [False, False, False, True]),
-        ([0.0, 0.5, 50.0, 50.5], [False, False, False, False]),
+        ([0.0, 50.0, 50.5, 51.0], [-1, 0, 0, 0]),
+        ([0.0, 50.0, 1.0, 1.5], [0, -1, 0, 0]),
+        ([0.0, 0.5, 1.0, 50.0], [0, 0, 0, -1]),
+        ([0.0, 0.5, 50.0, 50.5], [0, 0, -1, -1]),  # nobody knows which are right; those that are kept fit together
+        ([0.0, 50.0, 100.0, 150.0], [0, -1, -1, -1]),
     ):
-        found = rules.jumps(codes, time, [np.array(x), np.zeros(4)], geodetic=False, max_speed=10.0)
+        found = rules.bodies(codes, time, [np.array(x), np.zeros(4)], geodetic=False, limit=10.0)
         assert found.tolist() == expected
 
 
@@ -77,10 +78,10 @@ def test_great_circle_and_pieces(monkeypatch):
     random = np.random.default_rng(0)
     lon, lat = random.uniform(-180, 180, 1000), random.uniform(-90, 90, 1000)
     codes, time = np.repeat(np.arange(10, dtype=np.int32), 100), np.arange(1000.0)
-    whole = rules.jumps(codes, time, [lon, lat], geodetic=True, max_speed=5e6), *rules.project(lon, lat)
+    whole = rules.fast_legs(codes, time, [lon, lat], geodetic=True, limit=5e6), *rules.project(lon, lat)
     monkeypatch.setattr(rules, "CHUNK", 7)
-    pieces = rules.jumps(codes, time, [lon, lat], geodetic=True, max_speed=5e6), *rules.project(lon, lat)
-    assert 0 < whole[0].sum() < 900
+    pieces = rules.fast_legs(codes, time, [lon, lat], geodetic=True, limit=5e6), *rules.project(lon, lat)
+    assert 0 < whole[0].sum() < 990
     np.testing.assert_array_equal(whole[0], pieces[0])
     np.testing.assert_array_equal(whole[1], pieces[1])
     assert whole[2] == pieces[2]

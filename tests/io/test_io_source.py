@@ -77,7 +77,7 @@ def test_spoilt_archives_are_refused(tmp_path, pack):
 @pytest.mark.parametrize("pack", [gzip.compress, zst, lambda data: archive(a=data)])
 def test_bombs_are_refused(tmp_path, pack, monkeypatch):
     monkeypatch.setattr("wakefold.io.source.LEAST_LIMIT", 1 << 20)
-    with pytest.raises(wio.ReadError, match="larger max_unpacked"):
+    with pytest.raises(wio.ReadError, match=r"larger max_unpacked \(--max-unpacked\)"):
         read(tmp_path, pack(CSV + b"1,1,1,1\n" * (1 << 20)))
     _, report = read(tmp_path, pack(CSV + b"1,1,1,1\n" * (1 << 18)), max_unpacked=1 << 30)
     assert report.rows == 3000 + (1 << 18)

@@ -12,7 +12,7 @@ ONE = HEAD.format(uuid="u-1", n=2) + "7,2020-12-01 00:00:00,-74.0,40.0,7,2020-12
 TWO = HEAD.format(uuid="u-2", n=1) + "7,2020-12-02 00:00:00,-74.1,40.1"
 RICH = (
     "*T*,u-3,terrestrial,2,1,note,2,hello,*P*,terrestrial,2,1,1,2,altitude,1,dest,2,"
-    "A,2013-07-10 00:20:03,-105.2,39.8,12.5,KASE,A,2013-07-10 00:23:07,-105.3,39.9,,KASE"
+    "A,2013-07-10 00:20:03,-105.2,39.8,12.5,KASE,A,2013-07-10 00:23:07,-105.21,39.81,,KASE"
 )
 
 
@@ -72,5 +72,5 @@ def test_cut_anywhere_never_invents_a_point(tmp_path, cut):
 
 def test_real_week_of_new_york(shared_data):
     tracks, report = wio.read_tracks(shared_data("nyharbor_ais/NYHarbor_2020_12_first_week.traj"))
-    assert (len(tracks), report.rows, report.kept, report.rejected) == (513, 172_679, 172_678, {"jump": 1})
+    assert (len(tracks), report.rows, report.kept, report.rejected) == (513, 172_679, 172_677, {"jump": 2})
     assert len(set(tracks.attributes["agent"])) == 140

@@ -246,7 +246,7 @@ def test_degrees_are_no_berths_of_planar_tracks(tmp_path):
     assert json.loads(done.stdout)["left_out_at_berths"] == 1
 
 
-@pytest.mark.parametrize(("place", "begin", "date"), [(PLACE, 1.6e9, True), (PLACE, 0.0, False), (None, 1.6e9, False)])
+@pytest.mark.parametrize(("place", "begin", "date"), [(PLACE, 1.6e9, True), (PLACE, 0.0, False), (None, 1.6e9, True)])
 def test_an_event_is_drawn_from_a_date_where_there_is_one(place, begin, date):
     made = swinging()
     times = [begin + made.times_of(i) for i in range(len(made))]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import wakefold as wf
 from wakefold.io import ReadError
-from wakefold.service import answers
+from wakefold.service import answers, observed
 from wakefold.service import feed as obs
 
 
@@ -92,7 +92,7 @@ def test_classes_that_are_none(tree: wf.Filtration, cells: str, problem: str) ->
         ("a,1,,2,5,", "lon"),
         ("a,1,1,2,-5,", "sd"),
         ("a,1,1,2,x,", "sd"),
-        ("a,1,1,2,5,north", "class"),
+        ("a,1,,,5,north", "class"),
         ("a,1,1,2", "line"),
         ('a,1,"1,2,5,', "line"),
         ("a" * 201 + ",1,1,2,5,", "agent"),
@@ -171,15 +171,15 @@ def test_which_first_lines_begin_a_feed() -> None:
 
 def test_points_of_tracks_in_the_order_of_time() -> None:
     tracks = wf.Tracks.from_arrays([[[0.0, 0], [1, 0]], [[5.0, 5], [6, 5]]], [[0.0, 10], [5.0, 15]], ids=["p", "q"])
-    (block,) = obs.of_tracks(tracks)
+    (block,) = observed.of_tracks(tracks)
     seen = [o for o in block if isinstance(o, obs.Observation)]
     assert [(o.agent, o.time) for o in seen] == [("p", 0.0), ("q", 5.0), ("p", 10.0), ("q", 15.0)]
 
 
 def test_many_points_of_tracks_come_in_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(obs, "POINTS", 3)
+    monkeypatch.setattr(observed, "POINTS", 3)
     tracks = wf.Tracks.from_arrays([[[float(k)] for k in range(7)]])
-    blocks = list(obs.of_tracks(tracks))
+    blocks = list(observed.of_tracks(tracks))
     assert [len(block) for block in blocks] == [3, 3, 1]
     assert [seen.line for block in blocks for seen in block] == list(range(1, 8))
 
@@ -208,7 +208,7 @@ def test_geodetic_tracks_without_dates_keep_their_own_clock() -> None:
     lon, lat = [1.0, 1.1], [2.0, 2.0]
     for begin, stamp in ((0.0, 0.0), (1.6e9, "2020-09-13T12:26:40.000Z")):
         tracks = wf.Tracks.from_columns(agent=["a", "a"], time=[begin, begin + 1], lon=lon, lat=lat)
-        first = next(obs.of_tracks(tracks))[0]
+        first = next(observed.of_tracks(tracks))[0]
         assert isinstance(first, obs.Observation)
         assert first.stamp == stamp
 
@@ -298,3 +298,9 @@ def test_lines_of_answers_are_what_csv_and_json_write(one: answers.Answer) -> No
     if one.ahead:
         row["forecast"] = [{"seconds": seconds, **place(p)} for seconds, p in one.ahead]
     assert answers.json_line(one) == json.dumps(row, ensure_ascii=False) + "\n"
+
+
+def test_a_course_is_no_name_of_an_agent() -> None:
+    (seen,) = feed('{"class":"TPV","time":"2024-05-01T10:00:00.000Z","lat":55.1,"lon":10.2,"track":45.2}\n')
+    assert isinstance(seen, obs.Refused)
+    assert "45.2 is a course" in seen.why

@@ -84,3 +84,35 @@ def test_a_projection_is_a_value():
     assert hash(copy) == hash(plane)
     assert (copy.to_plane(-74.1, 40.6) == before).all()
     assert str(plane) == "metres about 40.5°N 74°W"
+
+
+@pytest.mark.parametrize("lat0", [-90, -60.5, -1e-4, 0, 33.3, 55.12, 89.99, 90])
+@pytest.mark.parametrize("lon0", [-180, 0, 123.4, 179.9999])
+def test_the_plane_is_that_of_proj(lon0, lat0):
+    """Within a millimetre over 10,000 km; farther away too, where the points that are too far for us are proj's own."""
+    from pyproj import Geod
+
+    random = np.random.default_rng(0)
+    away = np.concatenate([[0.0, 1e-6, 1.0], 10 ** random.uniform(-2, 7, 500), random.uniform(1e7, 2e7, 500)])
+    n = len(away)
+    lon, lat, _ = Geod(ellps="WGS84").fwd(np.full(n, lon0), np.full(n, lat0), random.uniform(0, 360, n), away)
+    plane = Projection(lon0, lat0)
+    theirs = np.stack(plane._transformer.transform(lon, lat), axis=1)
+    for turn in (0.0, 360.0, -360.0):
+        assert np.abs(plane.to_plane(lon + turn, lat) - theirs).max() < 1e-3
+    near = away < 1e6
+    assert np.abs(plane.to_plane(lon, lat) - theirs)[near].max() < 1e-5
+
+
+def test_what_is_no_position_is_nowhere():
+    lon, lat = np.array([np.nan, 0.0, np.inf, 0.0, 1.0]), np.array([0.0, np.nan, 0.0, 91.0, 2.0])
+    assert np.isfinite(Projection(0.0, 0.0).to_plane(lon, lat)).all(axis=1).tolist() == [False] * 4 + [True]
+
+
+def test_a_point_is_placed_alike_alone_and_among_others():
+    """The compiled loop takes several points at once, and the last ones by themselves."""
+    random = np.random.default_rng(1)
+    lon, lat = random.uniform(-180, 180, 1003), random.uniform(-90, 90, 1003)
+    plane = Projection(10.0, 55.0)
+    together = plane.to_plane(lon, lat)
+    assert all(np.array_equal(plane.to_plane(lon[k], lat[k])[0], together[k]) for k in range(1003))

@@ -15,6 +15,10 @@ _compiled = partial(_njit, cache=True, nogil=True, no_cfunc_wrapper=True)
 kernel = _compiled()
 inner = _compiled(no_cpython_wrapper=True)
 
+# Division by zero gives infinity, as numpy has it, and no error: so loops are free of branches and can be vectorised.
+wide_kernel = _compiled(error_model="numpy")
+wide_inner = _compiled(error_model="numpy", no_cpython_wrapper=True)
+
 # For numbers without NaN: knowing that lets LLVM vectorise a maximum.
 _ordered = {"nnan", "nsz"}
 ordered_kernel = _compiled(fastmath=_ordered)

@@ -24,7 +24,8 @@ def naming(path: object) -> Iterator[None]:
 def opened(path: str | Path) -> Iterator[TextIO]:
     """A text file to write, errors naming it; "-" is standard output, which stays open."""
     if Path(path) == STANDARD:
-        yield sys.stdout
+        with naming("standard output"):
+            yield sys.stdout
         return
     with naming(path), Path(path).open("w", encoding="utf-8", errors="backslashreplace") as out:
         yield out

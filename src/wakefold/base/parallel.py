@@ -21,6 +21,8 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
+from wakefold.base.checks import whole
+
 T = TypeVar("T")
 R = TypeVar("R")
 Progress = Callable[[float], None]
@@ -48,8 +50,7 @@ def thread_map(
     """
     if threads is None:
         threads = cores()
-    if threads < 1:
-        raise ValueError(f"threads must be at least 1, got {threads}")
+    threads = whole(threads, "threads")
     if threads == 1 or len(items) < 2:
         results = []
         for done, item in enumerate(items, start=1):

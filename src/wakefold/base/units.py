@@ -8,6 +8,8 @@ from datetime import UTC, date, datetime, timedelta
 
 import numpy as np
 
+from wakefold.base.checks import real
+
 Duration = float | str | timedelta | np.timedelta64
 Length = float | str
 Time = float | str | date | np.datetime64  # a datetime is a date
@@ -75,14 +77,15 @@ def timestamp(time: Time) -> float:
         return datetime(time.year, time.month, time.day, tzinfo=UTC).timestamp()
     if isinstance(time, np.datetime64):
         time = float((time - np.datetime64(0, "s")) / np.timedelta64(1, "s"))
-    if not math.isfinite(time):
+    seconds = real(time, "a time")
+    if not math.isfinite(seconds):
         raise ValueError(f"{time!r} is not a time")
-    return float(time)
+    return seconds
 
 
 def _measure(value: float | str, units: dict[str, float], examples: str, what: str) -> float:
     if not isinstance(value, str):
-        return _checked(float(value), value, what)
+        return _checked(real(value, what), value, what)
     text = value.strip().lower()
     try:
         return _checked(float(text), value, what)

@@ -28,6 +28,15 @@ def counted(count: int, noun: str) -> str:
     return f"{count:,} {noun}" if count == 1 else f"{count:,} {noun}s"
 
 
+def escaped(text: str) -> str:
+    """A text from a file as it may be shown: tabs, line ends, escape codes as ``\\t``, ``\\n``, ``\\x1b``."""
+    return (
+        text
+        if text.isprintable()
+        else "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text)
+    )
+
+
 def near_miss(name: str, names: Iterable[str]) -> str:
     """ "; did you mean 'ferry0#0'?": names that are pieces of this one, or written much like it; "" without any."""
     from difflib import get_close_matches

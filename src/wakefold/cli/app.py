@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import sys
 from typing import Annotated
 
@@ -57,6 +58,11 @@ for command in (learn, track, score, show, info, relations, demo, reproduce):  #
 
 def main() -> None:
     """Entry point of the ``wakefold`` command. It writes UTF-8 in every locale, as files and names hold anything."""
+    if sys.stderr is None:  # closed by whoever called
+        sys.stderr = open(os.devnull, "w")  # noqa: SIM115 - for as long as we run
+    if sys.stdout is None:
+        console.say("error: standard output is closed")
+        sys.exit(console.FAILED)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(encoding="utf-8", errors="backslashreplace")

@@ -3,25 +3,39 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
+import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import wraps
 from typing import NoReturn, ParamSpec
 
 import typer
 
+from wakefold.base.files import naming
+from wakefold.base.wording import escaped
+
 P = ParamSpec("P")
-FAILED, INTERRUPTED, CLOSED = 1, 130, 141  # the last two as shells report SIGINT and SIGPIPE
+FAILED, INTERRUPTED, CLOSED, TERMINATED = 1, 130, 141, 143  # the last three as shells report SIGINT, SIGPIPE, SIGTERM
 PATIENCE = 2.0  # seconds before a bar is shown
 debug = False
 
 
+class Terminated(KeyboardInterrupt):
+    """SIGTERM."""
+
+
 def say(message: str) -> None:
-    """One line on standard error."""
-    print(f"wakefold: {message}", file=sys.stderr, flush=True)
+    """Lines on standard error, control characters escaped. If they cannot be written, the work goes on without."""
+    _tell(f"wakefold: {message}")
+
+
+def _tell(text: str) -> None:
+    with suppress(OSError, ValueError, AttributeError):  # a full disk, a reader that is gone, a closed stream
+        print("\n".join(escaped(line) for line in text.split("\n")), file=sys.stderr, flush=True)
 
 
 def guarded(command: Callable[P, None]) -> Callable[P, None]:
@@ -30,20 +44,50 @@ def guarded(command: Callable[P, None]) -> Callable[P, None]:
     @wraps(command)
     def run(*args: P.args, **kwargs: P.kwargs) -> None:
         try:
-            command(*args, **kwargs)
-            sys.stdout.flush()
+            with _ended_by_sigterm():
+                command(*args, **kwargs)
+            with naming("standard output"):
+                sys.stdout.flush()
         except BrokenPipeError:  # whoever read our output has seen enough
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            _let_go()
             raise typer.Exit(CLOSED) from None
-        except KeyboardInterrupt:
+        except KeyboardInterrupt as end:
             say("interrupted")
-            raise typer.Exit(INTERRUPTED) from None
-        except (ValueError, TypeError, OSError, MemoryError, OverflowError, ImportError) as error:
+            _let_go()
+            raise typer.Exit(TERMINATED if isinstance(end, Terminated) else INTERRUPTED) from None
+        except (ValueError, TypeError, OSError, MemoryError, OverflowError, ImportError, RecursionError) as error:
             if debug:
                 traceback.print_exc()
+            _let_go()
             fail(error)
 
     return run
+
+
+@contextmanager
+def _ended_by_sigterm() -> Iterator[None]:
+    """SIGTERM ends the work as Ctrl-C does: what was answered is written whole."""
+
+    def end(number: int, frame: object) -> None:
+        raise Terminated
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _let_go() -> None:
+    """Write what is left for standard output; if that fails, forget it: Python would try again at its end."""
+    try:
+        sys.stdout.flush()
+    except (OSError, ValueError):
+        with suppress(OSError, ValueError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def fail(error: object) -> NoReturn:
@@ -54,7 +98,7 @@ def fail(error: object) -> NoReturn:
     first, *rest = text.splitlines()
     say(f"error: {first}")
     for line in rest:  # the offending lines of a file in which nothing was good
-        print(f"  {line}", file=sys.stderr)
+        _tell(f"  {line}")
     raise typer.Exit(FAILED)
 
 

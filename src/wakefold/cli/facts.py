@@ -10,7 +10,6 @@ import numpy as np
 
 from wakefold.base.wording import counted, number_text
 from wakefold.io import read_tracks
-from wakefold.io.read import Columns
 from wakefold.model.model import load
 from wakefold.tracks.projection import dated
 from wakefold.tracks.tracks import Tracks
@@ -20,10 +19,11 @@ if TYPE_CHECKING:
     from wakefold.model.model import Model
 
 
-def about(
-    path: Path, columns: Columns | None, time_format: str | None, progress: Callable[[int, int], None]
-) -> tuple[str, dict[str, Any]]:
+def about(path: Path, settings: dict[str, Any], progress: Callable[[int, int], None]) -> tuple[str, dict[str, Any]]:
     """What a file of tracks, or the directory of a model, holds: for people, and in plain types for JSON.
+
+    Args:
+        settings: of ``read_tracks``.
 
     Raises:
         ReadError, StoreError: it is neither.
@@ -32,7 +32,7 @@ def about(
         model = load(path)
         facts = {"path": str(path), "kind": "model", **model_facts(model), **_extent(model.tracks)}
         return "\n".join([f"{path}: {model!r}", *_said(facts), level_table(model.filtration)]), facts
-    tracks, report = read_tracks(path, columns=columns, time_format=time_format, progress=progress)
+    tracks, report = read_tracks(path, **settings, progress=progress)
     facts = {"path": str(path), "kind": "tracks", "tracks": len(tracks), "points": len(tracks.points)}
     facts |= _extent(tracks) | {"report": report.to_dict()}
     return "\n".join([str(report), *_said(facts)]), facts
@@ -57,10 +57,21 @@ def _extent(tracks: Tracks) -> dict[str, Any]:
     }
     if tracks.projection is not None:
         east, north = tracks.projection.to_geodetic(tracks.points).T
-        east = np.unwrap(np.concatenate([[tracks.projection.lon], east]), period=360.0)[1:]  # one side of the seam
-        out["area"] = {"west": east.min(), "south": north.min(), "east": east.max(), "north": north.max()}
+        west, last = _arc(east)
+        out["area"] = {"west": west, "south": north.min(), "east": last, "north": north.max()}
         out["area"] = {name: round(float(value), 6) for name, value in out["area"].items()}
     return out
+
+
+def _arc(lon: np.ndarray) -> tuple[float, float]:
+    """West and east end of the shortest arc that holds all longitudes, degrees within -180..180.
+
+    Where it crosses the antimeridian its west end is the greater number, as in the boxes of GeoJSON (RFC 7946, 5.2).
+    """
+    lon = np.unique(lon)
+    gaps = np.diff(lon, append=lon[0] + 360.0)
+    widest = int(np.argmax(gaps))
+    return float(lon[(widest + 1) % len(lon)]), float(lon[widest])
 
 
 def _said(facts: dict[str, Any]) -> list[str]:

@@ -12,7 +12,17 @@ from wakefold.base.wording import counted
 from wakefold.cli import options
 from wakefold.cli.console import fail, progress, say
 
-OPTIONS = {"tracks", "extend", "forget", "output", "columns", "time_format", "threads", "json_"}  # all it reads
+OPTIONS = {
+    "tracks",
+    "extend",
+    "forget",
+    "output",
+    "columns",
+    "time_format",
+    "max_unpacked",
+    "threads",
+    "json_",
+}  # all it reads
 
 
 def grow(
@@ -43,6 +53,8 @@ def grow(
         with progress("reading") as update:
             read, report = wf.read_tracks(files, **reading, progress=update)
         show(str(report))
+        if report.untimed:
+            fail(f"{counted(report.untimed, 'point')} without times")
         pieces = known.shaped(read)
         for note in pieces.notes:
             show(f"  {note}")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from wakefold.cli import options
 from wakefold.cli.console import guarded, progress
-from wakefold.cli.options import Columns, Json, TimeFormat, arg
+from wakefold.cli.options import Columns, Json, MaxSpeed, MaxUnpacked, TimeFormat, arg
 
 
 @guarded
@@ -16,6 +16,8 @@ def info(
     files: Annotated[list[Path], arg("Files of tracks, or models.")],
     columns: Columns = "",
     time_format: TimeFormat = None,
+    max_speed: MaxSpeed = None,
+    max_unpacked: MaxUnpacked = None,
     json_: Json = False,
 ) -> None:
     """Say what files of tracks, or models, hold: who, when, where, how densely sampled.
@@ -28,10 +30,10 @@ def info(
     from wakefold.cli.facts import about
 
     options.input_files(files)
-    names, known = options.columns(columns), []
+    settings, known = options.reading(columns, time_format, max_speed, max_unpacked), []
     for path in files:
         with progress("reading") as update:
-            text, facts = about(path, names, time_format, update)
+            text, facts = about(path, settings, update)
         known.append(facts)
         if not json_:
             print(text)

@@ -15,7 +15,7 @@ from wakefold.base.wording import counted, duration_text, number_text
 from wakefold.cli import options
 from wakefold.cli.console import fail, guarded, progress, say
 from wakefold.cli.grow import OPTIONS, grow
-from wakefold.cli.options import Columns, Json, TimeFormat, arg, opt
+from wakefold.cli.options import Columns, Json, MaxUnpacked, TimeFormat, arg, opt
 
 if TYPE_CHECKING:
     import numpy as np
@@ -64,7 +64,10 @@ def learn(
     max_gap: Annotated[str, typer.Option(help="Cut a track where its agent is silent for longer.")] = options.MAX_GAP,
     max_speed: Annotated[
         float | None,
-        opt("Cut a track where getting to its next point takes more than this, metres per second."),
+        opt(
+            "Cut a track where getting to its next point takes more than this, metres per second. Above 60, points as "
+            "fast as that are no jumps either."
+        ),
     ] = None,
     stop: Annotated[
         str | None,
@@ -80,6 +83,10 @@ def learn(
     ] = None,
     columns: Columns = "",
     time_format: TimeFormat = None,
+    untimed: Annotated[
+        bool, typer.Option("--untimed", help="Take points of files without times one second apart.")
+    ] = False,
+    max_unpacked: MaxUnpacked = None,
     threads: Annotated[
         int | None, typer.Option(help="Threads that compare tracks; one for each core if not given.", min=1)
     ] = None,
@@ -105,15 +112,15 @@ def learn(
 
     import wakefold as wf
     from wakefold.cli.facts import level_table, model_facts
+    from wakefold.io.collect import MAX_GEODETIC_SPEED
     from wakefold.model.model import SHAPING
 
-    names = options.columns(columns)
+    settings = options.reading(columns, time_format, None, max_unpacked)
     if extend or forget is not None:
         for name, written in options.given(context).items():
             if name not in OPTIONS:
                 options.wrong(written, "a model that grows keeps what it was learned with")
-        reading = {"columns": names, "time_format": time_format}
-        grow(tracks[0], [*(extend or ()), *tracks[1:]], output, forget, reading, threads, json_)
+        grow(tracks[0], [*(extend or ()), *tracks[1:]], output, forget, settings, threads, json_)
         return
     options.input_files(tracks)
     if output is None:
@@ -124,13 +131,18 @@ def learn(
     step = None if spacing == "auto" else options.length("--spacing", spacing)
     cuts = options.cuts(max_gap, max_speed, stop, min_length)
     radius = None if epsilon is None else options.length("--epsilon", epsilon)
+    if max_speed is not None and max_speed > MAX_GEODETIC_SPEED:  # slower ones cut, and reject nothing
+        settings["max_speed"] = max_speed
     with progress("reading") as update:
-        read, report = wf.read_tracks(tracks, columns=names, time_format=time_format, progress=update)
+        read, report = wf.read_tracks(tracks, **settings, progress=update)
     show = say if json_ else print
     show(str(report))
+    if report.untimed and not untimed:
+        fail(f"{counted(report.untimed, 'point')} without times: --untimed takes them one second apart")
     pieces = options.cut(read, cuts)
     if not len(pieces):
-        fail("no track is left to learn from: " + "; ".join(pieces.notes))
+        rare = sparse(read, cuts["max_gap"])
+        fail("no track is left to learn from: " + "; ".join([*pieces.notes, *([rare] if rare else [])]))
     remarks = sparse(read, cuts["max_gap"]), at_rest(pieces), impossible(pieces)
     for remark in filter(None, remarks):
         show(f"  note: {remark}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -31,18 +32,29 @@ def opt(help: str, *names: str) -> Any:
 Columns = Annotated[
     str,
     opt(
-        "Columns of a table with names of its own: agent=...,time=...,lon=...,lat=... or x=...,y=...; by position "
-        "(0, 1, ...) if it has no header."
+        "Columns of a table, or properties of GeoJSON, with names of their own: agent=...,time=...,lon=...,lat=... or "
+        "x=...,y=...; time=Date+Time joins two; by position (0, 1, ...) if there is no header."
     ),
 ]
 TimeFormat = Annotated[
     str | None,
     opt(
-        "How a table writes times: s, ms, us or ns since 1970, or a pattern such as %d/%m/%Y %H:%M. Needless for "
-        "ISO 8601 and seconds."
+        "How times are written: s, ms, us or ns since 1970, days of a spreadsheet, or a pattern such as "
+        "%d/%m/%Y %H:%M. Needless for ISO 8601 and seconds."
     ),
 ]
 MAX_GAP, MIN_LENGTH = "30min", "0"  # what cuts a track and what it must have, if nothing is said
+MaxSpeed = Annotated[
+    str | None,
+    opt(
+        "Fastest that an agent can be, such as 400 (metres per second) or 30kn: what would take more is a jump, or "
+        "another agent of that name. With longitudes and latitudes 60 if not given; none: no check."
+    ),
+]
+MaxUnpacked = Annotated[
+    str | None,
+    opt("Most bytes that a packed file may unpack to, such as 4GB. 200 times its size, and 256 MiB, if not given."),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, for a program to read.")]
 
 
@@ -88,6 +100,31 @@ def speed(option: str, text: str) -> float:
 
     value = parsed(option, metres_per_second, text)
     return value if value > 0 else wrong(option, "must be above 0")
+
+
+def reading(
+    columns_text: str, time_format: str | None, max_speed: str | None, max_unpacked: str | None
+) -> dict[str, Any]:
+    """What ``read_tracks`` takes of the options of reading."""
+    out: dict[str, Any] = {"columns": columns(columns_text), "time_format": time_format}
+    if max_speed is not None:
+        out["max_speed"] = None if max_speed.strip().lower() == "none" else speed("--max-speed", max_speed)
+    if max_unpacked is not None:
+        out["max_unpacked"] = parsed("--max-unpacked", size, max_unpacked)
+    return out
+
+
+def size(text: str) -> int:
+    """``4GB``, ``512 MiB`` or ``1000`` in bytes.
+
+    Raises:
+        ValueError: it is none.
+    """
+    match = re.fullmatch(r"\s*(\d{1,15}(?:\.\d{1,3})?)\s*(?:([kmgt])(i?)b?|b)?\s*", text, re.IGNORECASE)
+    if match is None:
+        raise ValueError(f"{text!r} is not a size such as 4GB or 512MiB")
+    power = " kmgt".index((match[2] or " ").lower())
+    return int(float(match[1]) * (1024 if match[3] else 1000) ** power)
 
 
 def levels(text: str) -> int | list[float]:

@@ -13,7 +13,7 @@ import typer
 from wakefold.base.files import naming
 from wakefold.cli import options
 from wakefold.cli.console import guarded, progress, say
-from wakefold.cli.options import Columns, Json, TimeFormat, opt
+from wakefold.cli.options import Columns, Json, MaxSpeed, MaxUnpacked, TimeFormat, opt
 
 if TYPE_CHECKING:
     from wakefold.relations.events.events import Event, Found
@@ -42,6 +42,8 @@ def relations(
     ] = "15min",
     columns: Columns = "",
     time_format: TimeFormat = None,
+    max_speed: MaxSpeed = None,
+    max_unpacked: MaxUnpacked = None,
     json_: Json = False,
 ) -> None:
     """Find encounters, rendezvous, convoys, loitering and port visits of ships.
@@ -66,7 +68,7 @@ def relations(
         berth=options.length("--berth", berth),
         gap=options.duration("--gap", gap),
     )
-    names = options.columns(columns)
+    how = options.reading(columns, time_format, max_speed, max_unpacked)
     if output is not None:
         options.output_file("--output", output)
         if output.suffix.lower() not in FORMS:
@@ -75,7 +77,7 @@ def relations(
         options.output_directory("--pictures", pictures)
     known = read_places(berths) if berths is not None else ()
     with progress("reading") as update:
-        read, report = wf.read_tracks(tracks, columns=names, time_format=time_format, progress=update)
+        read, report = wf.read_tracks(tracks, **how, progress=update)
     (say if json_ else print)(str(report))
     if output is not None and output.suffix.lower() != ".csv" and read.projection is None:
         options.wrong("--output", "GeoJSON holds longitude and latitude, and these tracks are planar")

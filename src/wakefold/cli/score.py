@@ -11,7 +11,7 @@ import typer
 
 from wakefold.cli import options
 from wakefold.cli.console import fail, guarded, progress
-from wakefold.cli.options import Columns, TimeFormat, arg, opt
+from wakefold.cli.options import Columns, MaxUnpacked, TimeFormat, arg, opt
 
 
 class QuestionsName(StrEnum):
@@ -68,6 +68,7 @@ def score(
     min_length: Annotated[str | None, opt("Leave out tracks that are shorter, such as 1km.")] = None,
     columns: Columns = "",
     time_format: TimeFormat = None,
+    max_unpacked: MaxUnpacked = None,
     seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 0,
 ) -> None:
     """Score forecasts on held-out tracks, beside plain methods.
@@ -93,7 +94,7 @@ def score(
     heights = options.levels(levels or "3")
     names = method_names(methods)
     said = options.cuts(max_gap, max_speed, stop, min_length)
-    given = options.columns(columns)
+    settings = options.reading(columns, time_format, None, max_unpacked)
     if json_ is not None:
         options.output_file("--json", json_)
     if out is not None:
@@ -101,7 +102,7 @@ def score(
     known = wf.load(model)
     usual = options.cuts(options.MAX_GAP, None, None, options.MIN_LENGTH)
     with progress("reading") as update:
-        read, report = wf.read_tracks(tracks, columns=given, time_format=time_format, progress=update)
+        read, report = wf.read_tracks(tracks, **settings, progress=update)
     print(report)
     kept = {name: value for name, value in known.shaping.items() if name != "spacing" and value is not None}
     pieces = options.cut(read, {**(kept or usual), **said})

@@ -11,7 +11,7 @@ import typer
 from wakefold.cli import console, options
 from wakefold.cli.console import guarded, progress, say
 from wakefold.cli.followers import FILTERS, FilterName, check, crowd, follower
-from wakefold.cli.options import Columns, TimeFormat, arg, opt
+from wakefold.cli.options import Columns, MaxSpeed, MaxUnpacked, TimeFormat, arg, opt
 
 
 class RuleName(StrEnum):
@@ -87,6 +87,8 @@ def track(
     ] = None,
     columns: Columns = "",
     time_format: TimeFormat = None,
+    max_speed: MaxSpeed = None,
+    max_unpacked: MaxUnpacked = None,
     agent: Annotated[list[str] | None, opt("Follow this agent only; may be repeated.")] = None,
     max_agents: Annotated[
         int, typer.Option(help="Most live agents; with more, the one silent for longest is dropped.", min=1)
@@ -125,7 +127,8 @@ def track(
     }
     silence = options.duration("--max-gap", max_gap)
     horizons = options.horizons(forecast)
-    names = options.feed_columns(columns)
+    reading = options.reading(columns, time_format, max_speed, max_unpacked)
+    options.feed_columns(columns)
     if picture is not None:
         options.output_file("--picture", picture, picture=True)
     if output != "-":
@@ -146,9 +149,7 @@ def track(
     form = options.form_of_name(output) if format is None else format.value
     with progress("following", shown=output != "-") as update:
         try:
-            refused = follow.run(
-                live, observations, output, form, names, time_format, frozenset(agent or ()), pages, update, say
-            )
+            refused = follow.run(live, observations, output, form, reading, frozenset(agent or ()), pages, update, say)
         finally:
             if pages is not None and pages.agent is not None and picture is not None:
                 album.draw(pages, known, picture)

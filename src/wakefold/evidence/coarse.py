@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from wakefold.base.checks import real, whole
+
 if TYPE_CHECKING:
     from wakefold.model.filtration import Filtration
 
@@ -34,9 +36,10 @@ class CoarseClass:
     def __post_init__(self) -> None:
         if isinstance(self.class_, bool) or not isinstance(self.class_, (int, np.integer)):
             raise ValueError(f"CoarseClass takes the id of a class, an integer, got {self.class_!r}")
-        if self.level is not None and not 0.0 <= self.level < math.inf:
+        whole(self.class_, "CoarseClass id of a class", least=-(1 << 62), most=1 << 62)
+        if self.level is not None and not 0.0 <= real(self.level, "CoarseClass level") < math.inf:
             raise ValueError(f"CoarseClass level must be a finite number of metres >= 0, got {self.level}")
-        if not 0.0 < self.confidence <= 1.0:
+        if not 0.0 < real(self.confidence, "CoarseClass confidence") <= 1.0:
             raise ValueError(f"CoarseClass confidence must be within (0, 1], got {self.confidence}")
 
     def at_level(self, tree: Filtration) -> float:

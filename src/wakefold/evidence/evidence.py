@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
+from wakefold.base.checks import shown
 from wakefold.evidence.coarse import CoarseClass
 from wakefold.evidence.fix import Fix
 
@@ -24,6 +25,8 @@ def in_order(evidence: Sequence[Evidence], tree: Filtration) -> list[tuple[float
     """
     if isinstance(evidence, (Fix, CoarseClass)):
         raise TypeError("evidence is a list: put [] around the single item")
+    if isinstance(evidence, str) or not isinstance(evidence, Iterable):
+        raise TypeError(f"evidence is a list of Fix and CoarseClass, got {shown(evidence)}")
     out: list[tuple[float, Evidence]] = []
     for item in evidence:
         if isinstance(item, Fix):

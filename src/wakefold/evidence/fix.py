@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wakefold.base.checks import real, shown
 from wakefold.tracks.arrays import MOST_AXES
 
 if TYPE_CHECKING:
@@ -42,7 +43,10 @@ class Fix:
         if position is not None:
             if lon is not None or lat is not None:
                 raise ValueError("Fix takes a position or lon and lat, not both")
-            self.position = np.atleast_1d(np.asarray(position, dtype=np.float64))
+            try:
+                self.position = np.atleast_1d(np.asarray(position, dtype=np.float64))
+            except (TypeError, ValueError, OverflowError):
+                raise ValueError(f"Fix position must be numbers, got {shown(position)}") from None
             if self.position.ndim != 1 or not 1 <= len(self.position) <= MOST_AXES:
                 raise ValueError(f"Fix position must be 1 to {MOST_AXES} coordinates, got shape {self.position.shape}")
             if not all(map(math.isfinite, self.position.tolist())):
@@ -50,13 +54,14 @@ class Fix:
         else:
             if lon is None or lat is None:
                 raise ValueError("Fix needs a position, or lon and lat")
+            lon, lat = real(lon, "Fix lon"), real(lat, "Fix lat")
             if not -180.0 <= lon <= 360.0:  # NaN too
                 raise ValueError(f"Fix lon must be degrees within -180..360, got {lon}")
             if not -90.0 <= lat <= 90.0:
                 raise ValueError(f"Fix lat must be degrees within -90..90, got {lat}")
             self.lonlat = (float(lon), float(lat))
-        if sd is not None and (np.ndim(sd) > 0 or not 0.0 < sd < math.inf):
-            raise ValueError(f"Fix sd must be a positive number of metres, one for all axes, got {sd}")
+        if sd is not None and (np.ndim(sd) > 0 or not 0.0 < (sd := real(sd, "Fix sd")) < math.inf):
+            raise ValueError(f"Fix sd must be a positive number of metres, one for all axes, got {shown(sd)}")
         self.sd = None if sd is None else float(sd)
 
     def on_plane(self, projection: Projection | None, dim: int) -> NDArray[np.float64]:

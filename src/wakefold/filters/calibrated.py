@@ -19,7 +19,7 @@ from wakefold.evidence.evidence import Evidence
 from wakefold.evidence.fix import Fix
 from wakefold.filters.belief import Belief, GaussianBelief
 from wakefold.filters.kernels import particles as kernel
-from wakefold.filters.particles import RECOVER, START, Items, ParticleFilter
+from wakefold.filters.particles import RECOVER, START, Items, ParticleFilter, check_start
 from wakefold.filters.resampling import pick_strata
 from wakefold.filters.sets import Gaussians
 from wakefold.model.deviation import KINDS, Deviation
@@ -107,8 +107,7 @@ class Calibrated(ParticleFilter[GaussianBelief]):
             time: of the belief, seconds UTC, a datetime or ISO 8601 text.
             agent: a name; agents of different names draw different random numbers from the same seed.
         """
-        if at not in ("any", "begin"):
-            raise ValueError(f"at must be 'any' or 'begin', got {at!r}")
+        check_start(fix, at, agent)
         key, tracks = agent_key(self.seed, agent), self.model.tracks
         u = np.empty(1)
         random.uniforms(key, 0, START, u)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar, overload
@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Literal, TypeVar, over
 import numpy as np
 from numpy.typing import NDArray
 
-from wakefold.base import random, small
+from wakefold.base import checks, random, small
 from wakefold.base.random import agent_key
 from wakefold.base.types import Floats, Ints
 from wakefold.base.units import LOST, Time, timestamp
@@ -39,6 +39,22 @@ START, OPEN, NOISE, COPIES, RECOVER, FORECAST = range(6)  # purposes of random s
 FAMILIES: dict[str, int] = {"log": kernel.LOG, "gaussian": kernel.GAUSSIAN, "student": kernel.STUDENT}
 NOISES = {"gaussian": motion.GAUSSIAN, "uniform": motion.UNIFORM}
 NONE = np.empty(0, dtype=np.int64)
+MOST_PARTICLES = 100_000_000  # of an agent: a gigabyte and more
+BELIEF = "a filter takes a Belief, as start and step return it"
+
+
+def check_start(fix: object, at: object, agent: object) -> None:
+    """Refuse what no belief can start from.
+
+    Raises:
+        TypeError, ValueError: there is something.
+    """
+    if fix is not None:
+        checks.instance(fix, Fix, "fix must be a Fix")
+    if agent is not None:
+        checks.instance(agent, str, "agent must be a name, a text")
+    if at not in ("any", "begin"):
+        raise ValueError(f"at must be 'any' or 'begin', got {checks.shown(at)}")
 
 
 def elapsed(belief: Belief, dt: float | None, time: Time | None) -> tuple[float, float | None]:
@@ -47,11 +63,12 @@ def elapsed(belief: Belief, dt: float | None, time: Time | None) -> tuple[float,
     Raises:
         ValueError: both or neither given, or a time before the belief's.
     """
+    checks.instance(belief, Belief, BELIEF)
     if (dt is None) == (time is None):
         raise ValueError("step takes either dt or time")
     if time is None:
-        assert dt is not None
-        return float(dt), None if belief.time is None else belief.time + float(dt)
+        seconds = checks.real(dt, "dt")
+        return seconds, None if belief.time is None else belief.time + seconds
     now = timestamp(time)
     if belief.time is None:
         return 0.0, now
@@ -101,9 +118,12 @@ class ParticleFilter(ABC, Generic[Kind]):
         ess_threshold: float | None = None,
         seed: int = 0,
     ) -> None:
-        sd = model.sd if sd is None else sd
-        if isinstance(particles, bool) or not isinstance(particles, (int, np.integer)) or particles < 1:
-            raise ValueError(f"particles must be a whole number of at least 1, got {particles}")
+        from wakefold.model.model import Model
+
+        checks.instance(model, Model, "a filter takes a Model, as learn and load return it")
+        sd = model.sd if sd is None else checks.real(sd, "sd")
+        dof, depletion = checks.real(dof, "dof"), checks.real(depletion, "depletion")
+        particles = checks.whole(particles, "particles", most=MOST_PARTICLES)
         if likelihood not in FAMILIES:
             raise ValueError(f"likelihood must be one of {', '.join(FAMILIES)}, got {likelihood!r}")
         if not 0.0 < sd < math.inf:
@@ -117,14 +137,14 @@ class ParticleFilter(ABC, Generic[Kind]):
         if ess_threshold is not None and not 0.0 < ess_threshold <= 1.0:
             raise ValueError(f"ess_threshold must be a share of the particles within (0, 1], got {ess_threshold}")
         self.model = model
-        self.particles = int(particles)
+        self.particles = particles
         self.likelihood: Family = likelihood
         self.sd = float(sd)
         self.dof = float(dof)
         self.depletion = float(depletion)
         self.resampling: Resampling = resampling
         self.ess_threshold = ess_threshold
-        self.seed = int(seed)
+        self.seed = checks.whole(seed, "seed", least=-(1 << 127), most=1 << 128)
         self._noise = NOISES[model.dynamics.noise], model.dynamics.scale
         self.redrawn = round(self.depletion * self.particles) if self.single else 0
         self._even = np.full(self.particles, -math.log(self.particles))  # log-weights of an unweighted set
@@ -160,8 +180,7 @@ class ParticleFilter(ABC, Generic[Kind]):
             time: of the belief, seconds UTC, a date, datetime or datetime64, or ISO 8601 text.
             agent: a name; agents of different names draw different random numbers from the same seed.
         """
-        if at not in ("any", "begin"):
-            raise ValueError(f"at must be 'any' or 'begin', got {at!r}")
+        check_start(fix, at, agent)
         tree, tracks = self.model.filtration, self.model.tracks
         key = agent_key(self.seed, agent)
         u = _draw(random.uniforms, key, 0, START, (2, self.particles))
@@ -212,7 +231,9 @@ class ParticleFilter(ABC, Generic[Kind]):
         from, and its random stream, stay as they are.
         """
         one = isinstance(horizon, (int, float))
-        horizons = [float(horizon)] if one else [float(h) for h in horizon]
+        if not one and (isinstance(horizon, str) or not isinstance(horizon, Iterable)):
+            raise TypeError(f"horizon must be a number of seconds, or several of them, got {checks.shown(horizon)}")
+        horizons = [checks.real(h, "horizon") for h in ([horizon] if one else horizon)]
         now, done, out = self._bare(self._own(belief)), 0.0, []
         for leg, h in enumerate(horizons):
             if not h >= done:
@@ -237,7 +258,7 @@ class ParticleFilter(ABC, Generic[Kind]):
         """
         if not isinstance(belief, self.kind):
             if not isinstance(belief, Belief):
-                raise TypeError(f"a filter takes a Belief, as start and step return it, got {belief!r}")
+                raise TypeError(f"{BELIEF}, got {checks.shown(belief)}")
             made, mine = belief.filter, self.kind.filter
             raise ValueError(f"the belief was made by another filter, {made}: start a new one with this {mine}")
         if belief.tree is not self.model.filtration and not belief.tree.same_as(self.model.filtration):

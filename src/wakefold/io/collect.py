@@ -1,29 +1,50 @@
 """The one place where records are checked, grouped by agent and sorted into ``Tracks``."""
 
+# pyright: reportAttributeAccessIssue=false
+# (pyarrow.compute makes its functions when it is imported)
+
 from __future__ import annotations
 
-import re
+from collections import Counter
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from wakefold.base.types import Floats
 from wakefold.base.units import FARTHEST
+from wakefold.base.wording import counted
 from wakefold.io import times
-from wakefold.io.records import Latest, Rows, Static, as_text, last_rows
-from wakefold.io.report import ReadError, Report, Tally
-from wakefold.io.rules import Mask, grouping, jumps, project, repeated, sort_times, starts, taken
+from wakefold.io.records import PAIRED, Latest, Rows, Static, as_text, identity, is_text, last_rows, rounded
+from wakefold.io.report import ReadError, Report, Tally, some
+from wakefold.io.rules import Mask, bodies, far_apart, grouping, project, repeated, sort_times, starts, taken
+from wakefold.tracks.projection import dated
 from wakefold.tracks.tracks import Tracks
 
+AIS_NO_LONGITUDE = 181.0
+LONGEST_NAME = 200
+MANY = 1000  # names
 MAX_GEODETIC_SPEED = 60.0
 """Metres per second (117 knots): faster than any ship, slower than most wrong positions imply."""
 LATE = (
     "{n} times lie beyond the year 2100: if they are not in seconds, say so by time_format (--time-format), such as ms"
 )
+FAST = (
+    "more than a tenth of the rows are jumps at {limit} m/s; if such speeds are real, say so by max_speed (--max-speed)"
+)
+TWO = "the rows are kept apart, with #2 and so on behind the name"
+SINGLE = "every row has an agent of its own"
+SAY = "such as days of a spreadsheet, say so by time_format (--time-format days)"
+DEGREES = (
+    "x and y may be longitude and latitude, as all lie within 180 and 90 and the times are dates: if so, "
+    "columns lon=...,lat=... (--columns)"
+)
+EARLY = 1e8
+"""Seconds: times before 1973 are no dates of tracks."""
 
 
 class Collector:
@@ -36,7 +57,10 @@ class Collector:
     def __init__(self) -> None:
         self.tally = Tally()
         self._codes: dict[str, int] = {}
+        self._names: list[str] = []  # by code, at the end
+        self._pairs = False  # whether there are names of an agent and a track
         self._seen: dict[Any, int] = {}  # values of agents as they stand in files, whose names are known
+        self._spelled: dict[str, str] = {}  # whole numbers without leading zeros, as they were first written
         self._trajectories: dict[str, int] = {}
         self._plane: str | None = None
         self._geodetic = False
@@ -45,6 +69,11 @@ class Collector:
         self._kept = 0
         self._chunks: dict[str, list[NDArray[Any]]] = {}
         self._attributes: dict[str, Latest] = {}
+
+    @property
+    def agents(self) -> int:
+        """How many have come."""
+        return len(self._codes)
 
     def open(self, name: str) -> None:
         """A new file begins."""
@@ -65,7 +94,7 @@ class Collector:
             good = self._refuse("no time", times.within(time), good, rows)
             self.tally.note(LATE, int((time > times.YEAR_2100).sum()))
         if rows.geodetic:
-            lon, lat = rows.position
+            lon, lat = rows.position = self._turned(rows)
             here = (np.abs(lon) <= 180) & (np.abs(lat) <= 90)  # NaN is not
         else:
             here = np.logical_and.reduce([np.abs(p) <= FARTHEST for p in rows.position])  # NaN is not
@@ -84,6 +113,21 @@ class Collector:
             chunks = self._chunks[name]
             chunks.append(fields[name] if name in fields else np.full(kept, np.nan, dtype=chunks[0].dtype))
         self._kept += kept
+
+    def _turned(self, rows: Rows) -> tuple[Floats, Floats]:
+        """Longitude and latitude; longitudes that run on past 180 degrees, or from 0 to 360, turned into -180..180.
+
+        181 means "not available" in AIS: it is no longitude.
+        """
+        lon, lat = rows.position
+        if not rows.whole_turn:
+            return lon, lat
+        size = np.abs(lon)
+        over = (size > 180) & (size <= 360) & (lon != AIS_NO_LONGITUDE)  # NaN is not
+        if over.any():
+            self.tally.note("{n} longitudes beyond 180 degrees were taken as those a turn away", int(over.sum()))
+            lon = np.where(over, lon - np.copysign(360.0, lon), lon)
+        return lon, lat
 
     def describe(self, static: Static) -> None:
         """Take up attributes that come without positions."""
@@ -118,20 +162,75 @@ class Collector:
                 name += "+"
             return np.full(n, self._codes.setdefault(name, len(self._codes)), dtype=np.int32)
         encoded = agent.dictionary_encode()
-        values = encoded.dictionary.to_pylist()
-        try:
-            codes = [self._seen[value] for value in values]
-        except KeyError:
-            codes = [self._code(value) for value in values]
+        codes = self._codes_of_numbers(encoded.dictionary)
+        if codes is None:
+            values = encoded.dictionary.to_pylist()
+            try:
+                codes = [self._seen[value] for value in values]
+            except KeyError:
+                codes = [self._code(value) for value in values]
         table = np.array([*codes, -1], dtype=np.int32)
-        return table[encoded.indices.fill_null(len(values)).to_numpy(zero_copy_only=False)]
+        return table[encoded.indices.fill_null(len(codes)).to_numpy(zero_copy_only=False)]
+
+    def _codes_of_numbers(self, values: pa.Array) -> list[int] | None:
+        """The codes of many texts at once that are whole numbers without zeros in front; None if they are not."""
+        if len(values) < MANY or self._spelled or not is_text(values):
+            return None
+        if not pc.all(pc.match_substring_regex(values, rf"^(0|[1-9][0-9]{{0,{LONGEST_NAME - 1}}})$")).as_py():
+            return None
+        names = values.cast(pa.string()).to_pylist()
+        if self._codes.keys().isdisjoint(names):
+            codes = list(range(len(self._codes), len(self._codes) + len(names)))
+            self._codes.update(zip(names, codes, strict=True))
+            return codes
+        return [self._codes.setdefault(name, len(self._codes)) for name in names]
 
     def _code(self, value: Any) -> int:
-        """Number of an agent given by its value in a file."""
-        if value not in self._seen:
-            name = identity(value)
-            self._seen[value] = self._codes.setdefault(name, len(self._codes)) if name else -1
-        return self._seen[value]
+        """Number of an agent given by its value; whole numbers are the same agent however they are written."""
+        code = self._seen.get(value)
+        if code is None:
+            name = as_text(value)
+            if PAIRED in name:
+                agent, _, track = map(identity, name.rpartition(PAIRED))
+                self._pairs = True
+                name = f"{agent}{PAIRED}{track}" if track and max(len(agent), len(track)) <= LONGEST_NAME else ""
+            elif name.isdecimal():
+                name = self._as_first_written(name)
+            elif name:
+                if rounded(name):
+                    self.tally.note("{n} agents are written with an exponent that may hide digits, such as 2.19E+08")
+                name = identity(name)
+                name = self._as_first_written(name) if name.isdecimal() else name
+            if len(name) > LONGEST_NAME and PAIRED not in name:
+                self.tally.note(f"{{n}} agents have names of over {LONGEST_NAME} characters: no agent")
+                name = ""
+            code = self._seen[value] = self._codes.setdefault(name, len(self._codes)) if name else -1
+        return code
+
+    def _as_first_written(self, number: str) -> str:
+        """The first spelling of a whole number, which may have had zeros in front."""
+        bare = number.lstrip("0") or "0"
+        first = self._spelled.get(bare) or (bare if bare in self._codes else number)
+        if first != number:
+            self.tally.note(f"{{n}} agents are written in two ways, such as {first} and {number}")
+        elif number != bare:
+            self._spelled[bare] = number
+        return first
+
+    def _named(self) -> list[str]:
+        """Names by code: of an agent's track that of the track, after that of the agent if others have it too."""
+        names = list(self._codes)
+        if not self._pairs:
+            return names
+        count = Counter(name.rpartition(PAIRED)[2] for name in names)
+        used: dict[str, None] = {}
+        for name in names:
+            agent, _, track = name.rpartition(PAIRED)
+            name = track if count[track] == 1 or not agent else f"{agent}/{track}"
+            while name in used:
+                name += "+"
+            used[name] = None
+        return list(used)
 
     def finish(self, format: str, max_speed: float | Literal["auto"] | None = "auto") -> tuple[Tracks, Report]:
         """Group by agent, sort by time, drop what contradicts itself, project.
@@ -146,6 +245,7 @@ class Collector:
         """
         if not self._kept:
             raise self.tally.refusal(format)
+        self._names = self._named()
         codes = self._take("code")
         order = grouping(codes)
         codes = codes[order]
@@ -156,24 +256,27 @@ class Collector:
         rows = _Sorted(order, codes, time, [taken(self._take(f"position {i}"), order) for i in range(self._dim)])
 
         duplicate, elsewhere = repeated(rows.codes, rows.time, rows.position)
+        if max_speed == "auto":
+            max_speed = MAX_GEODETIC_SPEED if self._geodetic and not untimed else None
+        if self._geodetic and max_speed is not None and elsewhere.any():
+            elsewhere &= ~far_apart(duplicate | elsewhere, rows.position)
         self._reject("duplicate", duplicate, rows)
         self._reject("same time", elsewhere, rows)
         rows.keep(~(duplicate | elsewhere))
-        if max_speed == "auto":
-            max_speed = MAX_GEODETIC_SPEED if self._geodetic and not untimed else None
-        if max_speed is not None:
-            jump = jumps(rows.codes, rows.time, rows.position, self._geodetic, max_speed)
-            self._reject("jump", jump, rows)
-            rows.keep(~jump)
+        parents = self._apart(rows, max_speed) if max_speed is not None else {}
 
         columns = {
             name[7:]: taken(self._take(name), rows.order) for name in sorted(self._chunks) if name[:7] == "column "
         }
         offsets = np.append(np.flatnonzero(starts(rows.codes)), len(rows.codes))
         agents = rows.codes[offsets[:-1]]
-        ids = np.array(list(self._codes), dtype=np.str_)[agents]
-        attributes = {name: latest.of(agents) for name, latest in self._attributes.items()}
+        ids = np.array(self._names, dtype=np.str_)[agents]
+        owners = agents
+        if parents:
+            owners = np.array([parents.get(code, code) for code in agents.tolist()], dtype=agents.dtype)
+        attributes = {name: latest.of(owners) for name, latest in self._attributes.items()}
         attributes.setdefault("agent", ids)
+        self._look(rows, len(agents), untimed)
         if self._geodetic:
             points, projection = project(*rows.position)
         else:
@@ -193,14 +296,59 @@ class Collector:
             begin = np.flatnonzero(starts(codes))
             index = np.arange(len(time)) - np.repeat(begin, np.diff(np.append(begin, len(time))))
             time[untimed] = index[untimed]
-            self.tally.note("no times: {n} points taken 1 s apart", int(untimed.sum()))
+            self.tally.untimed = int(untimed.sum())
+            self.tally.note("no times: {n} points taken 1 s apart", self.tally.untimed)
         return bool(untimed.any())
+
+    def _apart(self, rows: _Sorted, max_speed: float) -> dict[int, int]:
+        """Drop jumps, and give other bodies under the name of an agent names of their own: codes of whose they were."""
+        body = bodies(rows.codes, rows.time, rows.position, self._geodetic, max_speed)
+        jump = body < 0
+        self._reject("jump", jump, rows)
+        if 10 * jump.sum() > len(jump):
+            self.tally.note(FAST.format(limit=f"{max_speed:g}"))
+        more = np.flatnonzero(body > 0)
+        parents: dict[int, int] = {}
+        if len(more):
+            names, used = self._names, set(self._names)
+            pairs, which = np.unique(np.stack([rows.codes[more], body[more]]), axis=1, return_inverse=True)
+            new = []
+            for code, number in pairs.T.tolist():
+                name = f"{names[code]}#{number + 1}"
+                while name in used:
+                    name += "+"
+                used.add(name)
+                new.append(len(names))
+                names.append(name)
+                parents[new[-1]] = code
+            count = counted(len(set(parents.values())), "agent")
+            verb = "is" if count.startswith("1 ") else "are"
+            self.tally.decided([f"{count} {verb} in two places at once, such as {names[int(pairs[0, 0])]}: {TWO}"])
+            rows.codes = rows.codes.copy()
+            rows.codes[more] = np.array(new, dtype=np.int32)[which.reshape(-1)]
+        rows.keep(~jump)
+        if len(more):
+            rows.sort(grouping(rows.codes))
+        return parents
+
+    def _look(self, rows: _Sorted, tracks: int, untimed: bool) -> None:
+        """Notes on what the whole looks like: that positions or times may be other than they seem."""
+        latest = float(np.abs(rows.time).max())
+        if tracks == len(rows.time) > 2:
+            others = f": another column may name them, of {some(list(self.tally.others))} (--columns agent=...)"
+            self.tally.decided([SINGLE + (others if self.tally.others else "")])
+        if self._geodetic and not untimed and latest < EARLY:
+            self.tally.note(f"times reach {latest:.6g} s, which is no date: if they are no seconds, {SAY}")
+        degrees = self._dim == 2 and not self._geodetic
+        degrees = degrees and bool((np.abs(rows.position[0]) <= 180).all() and (np.abs(rows.position[1]) <= 90).all())
+        if degrees and dated(None, float(rows.time.min())):
+            self.tally.note(DEGREES)
 
     def _reject(self, reason: str, bad: Mask, rows: _Sorted) -> None:
         """Count rows rejected after sorting. The first ones of the file are shown by their values."""
         which = np.flatnonzero(bad)
         which = which[np.argsort(rows.order[which])]
-        names = list(self._codes)
+        names = self._names
         for row in which[: self.tally.wants(reason)]:
             where = ", ".join(f"{p[row]:.10g}" for p in rows.position)
             file, line = self._origin(int(rows.order[row]))
@@ -231,11 +379,9 @@ class _Sorted:
             self.order, self.codes, self.time = self.order[mask], self.codes[mask], self.time[mask]
             self.position = [p[mask] for p in self.position]
 
-
-def identity(value: Any) -> str:
-    """Name of an agent; whole numbers that were made floats on their way (``367000140.0``) without the fraction."""
-    text = as_text(value)
-    return str(int(float(text))) if re.fullmatch(r"\d{1,15}\.\d*(e\+?\d\d?)?", text) and float(text) % 1 == 0 else text
+    def sort(self, order: NDArray[np.integer]) -> None:
+        self.order, self.codes, self.time = self.order[order], self.codes[order], self.time[order]
+        self.position = [p[order] for p in self.position]
 
 
 def _clock(time: float) -> str:

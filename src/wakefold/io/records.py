@@ -4,6 +4,7 @@
 # (pyarrow.compute makes its functions when it is imported)
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,7 +19,14 @@ from wakefold.base.types import Floats
 NUMBER = r"^\s*[+-]?(\d{1,30}\.?\d{0,30}|\.\d{1,30})([eE][+-]?\d{1,2})?\s*$"
 """What is taken for a number where the parser found something that is none."""
 
-
+FLOATED = re.compile(r"\d{1,15}\.\d*([eE]\+?\d\d?)?|\d{1,15}[eE]\+\d\d?")
+EXPONENT = re.compile(r"(\d)(?:\.(\d*))?[eE]\+?(\d\d?)")
+SAMPLED = 300
+"""First rows of a table, whose values say what its columns are."""
+PAIRED = "\x01"
+"""Between an agent and its track, where both name a track; in no name of its own."""
+LONGEST_TEXT = 200
+"""Characters of a text that is kept of an agent: all have the room of the longest."""
 MERGE = 200_000
 """Values put aside before they are merged."""
 
@@ -37,6 +45,7 @@ class Rows:
         columns: per-point values ``(n,)``.
         attributes: per-row values of what belongs to the agent: numpy floats are numbers, arrow arrays text. The last
             value of an agent that is not empty is kept.
+        whole_turn: longitudes may be beyond 180 degrees, as 0..360; in AIS, where 181 is none, they may not.
     """
 
     agent: str | pa.Array
@@ -47,6 +56,7 @@ class Rows:
     text: Callable[[int], str]
     columns: Mapping[str, NDArray[np.floating]] = field(default_factory=dict)
     attributes: Mapping[str, NDArray[np.floating] | pa.Array] = field(default_factory=dict)
+    whole_turn: bool = True
 
     def named(self, rows: NDArray[np.integer]) -> Iterator[tuple[int, str]]:
         """Line number and text of some rows, for the report."""
@@ -66,6 +76,7 @@ class Rows:
             text=lambda row: self.text(int(index[row])),
             columns={name: values[mask] for name, values in self.columns.items()},
             attributes={name: _take(values, index) for name, values in self.attributes.items()},
+            whole_turn=self.whole_turn,
         )
 
 
@@ -144,7 +155,7 @@ class Latest:
             known = dict(zip(self._codes[0].tolist(), self._values[0].tolist(), strict=True))
         if self._numbers:
             return np.array([known.get(code, np.nan) for code in codes.tolist()], dtype=np.float64)
-        return np.array([as_text(known.get(code)) for code in codes.tolist()], dtype=np.str_)
+        return np.array([as_text(known.get(code))[:LONGEST_TEXT] for code in codes.tolist()], dtype=np.str_)
 
 
 def _take(values: NDArray[np.floating] | pa.Array, where: NDArray[np.integer]) -> NDArray[np.floating] | pa.Array:
@@ -171,7 +182,11 @@ def _last(codes: NDArray[np.integer]) -> tuple[NDArray[np.integer], NDArray[np.i
 
 def is_text(values: pa.Array) -> bool:
     """Whether an array holds strings or bytes."""
-    kind = values.type
+    return is_text_type(values.type)
+
+
+def is_text_type(kind: pa.DataType) -> bool:
+    """Whether a type is that of strings or bytes."""
     return any(t(kind) for t in (pa.types.is_string, pa.types.is_large_string, pa.types.is_binary))
 
 
@@ -190,7 +205,28 @@ def decoded(raw: bytes) -> str:
         return raw.decode("latin-1")
 
 
-def to_numbers(values: pa.Array, to: pa.DataType) -> pa.Array:
-    """Texts that are numbers as such, null for the others."""
+def to_numbers(values: pa.Array, to: pa.DataType, comma: bool = False) -> pa.Array:
+    """Texts that are numbers as such, with a decimal comma if so stated; null for the others."""
+    if comma:
+        texts = [as_text(value) for value in values.to_pylist()]
+        values = pa.array([text.replace(",", ".", 1) if "." not in text else text for text in texts], pa.string())
     good = pc.if_else(pc.match_substring_regex(values, NUMBER), values, None)
     return pc.ascii_trim_whitespace(good.cast(pa.string())).cast(to)
+
+
+def plain(name: str) -> str:
+    """A column name without case, spaces, underscores and the like."""
+    return re.sub(r"[^a-z0-9]", "", name.lower())
+
+
+def identity(value: Any) -> str:
+    """Name of an agent; whole numbers that were made floats on their way (``367000140.0``, or as spreadsheets write
+    them ``3.6700014E+08``) without fraction and exponent."""
+    text = as_text(value)
+    return str(int(float(text))) if FLOATED.fullmatch(text) and float(text) % 1 == 0 else text
+
+
+def rounded(value: Any) -> bool:
+    """Whether the name of an agent is a number with an exponent that has fewer digits than it stands for."""
+    match = EXPONENT.fullmatch(as_text(value))
+    return match is not None and FLOATED.fullmatch(match[0]) is not None and len(match[2] or "") < int(match[3])

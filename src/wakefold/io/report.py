@@ -8,10 +8,12 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any, NamedTuple
 
-from wakefold.base.wording import counted
+from wakefold.base.wording import counted, escaped
 
 SHOWN = 5
 """Offending lines kept for each reason."""
+NAMED = 20
+"""Columns that a message names."""
 CLIP = 160
 """Characters kept of an offending line."""
 
@@ -44,6 +46,7 @@ class Report:
         rejected: rows left out, by reason.
         offences: the first five rejected rows of each reason.
         notes: whatever else a careful reader should know.
+        untimed: points of files without times, which were taken one second apart.
     """
 
     format: str
@@ -53,6 +56,7 @@ class Report:
     rejected: dict[str, int]
     offences: dict[str, tuple[Offence, ...]]
     notes: tuple[str, ...] = ()
+    untimed: int = 0
 
     def __str__(self) -> str:
         files = self.files[0] if len(self.files) == 1 else f"{len(self.files)} files"
@@ -84,6 +88,7 @@ class Report:
             "rejected": dict(self.rejected),
             "offences": {reason: [o._asdict() for o in some] for reason, some in self.offences.items()},
             "notes": list(self.notes),
+            "untimed": self.untimed,
         }
 
 
@@ -97,6 +102,8 @@ class Tally:
         self.rejected: Counter[str] = Counter()
         self.offences: dict[str, list[Offence]] = {}
         self.counted_notes: Counter[str] = Counter()
+        self.others: dict[str, None] = {}
+        self.untimed = 0
 
     def wants(self, reason: str) -> int:
         """How many more offending rows of this reason will be shown."""
@@ -115,6 +122,12 @@ class Tally:
         if count:
             self.counted_notes[text] += count
 
+    def decided(self, notes: Iterable[str], others: Iterable[str] = ()) -> None:
+        """What a reader took the columns of a file for, and the names of those that it took nothing from."""
+        for note in notes:
+            self.note(escaped(note).replace("{", "{{").replace("}", "}}"))
+        self.others |= dict.fromkeys(others)
+
     def report(self, format: str, kept: int) -> Report:
         return Report(
             format=format,
@@ -124,6 +137,7 @@ class Tally:
             rejected=dict(self.rejected),
             offences={reason: tuple(some) for reason, some in self.offences.items()},
             notes=tuple(text.format(n=f"{count:,}") for text, count in self.counted_notes.items()),
+            untimed=self.untimed,
         )
 
     def refusal(self, format: str) -> ReadError:
@@ -132,10 +146,16 @@ class Tally:
 
 
 def _clip(text: str) -> str:
-    text = "".join(c if c.isprintable() else "�" for c in text[: CLIP + 1])
+    text = escaped(text[: CLIP + 1])
     return text if len(text) <= CLIP else text[: CLIP - 1] + "…"
 
 
 def listed(names: Sequence[str]) -> str:
     """``a, b and c``."""
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def some(names: Sequence[str]) -> str:
+    """``a, b and c`` of the first names, each clipped."""
+    shown = [name if len(name) <= 40 else f"{name[:39]}…" for name in names[:NAMED]]
+    return listed(shown) if len(names) <= NAMED else f"{', '.join(shown)} and {len(names) - NAMED:,} more"

@@ -13,6 +13,12 @@ from wakefold.base.types import Floats
 from wakefold.tracks.projection import Projection
 
 Mask = NDArray[np.bool_]
+Codes = NDArray[np.int32]
+
+FAR = 1000.0
+"""Metres between two places of a ship at one time that are not both its own."""
+LEAST = 3
+"""Rows of a strand that is another body, and no jumps."""
 
 THREADS = 2
 CHUNK = 1 << 18
@@ -72,34 +78,82 @@ def repeated(codes: NDArray[np.int32], time: Floats, position: Sequence[Floats])
     return duplicate, again & ~duplicate
 
 
-def jumps(codes: NDArray[np.int32], time: Floats, position: Sequence[Floats], geodetic: bool, max_speed: float) -> Mask:
-    """Rows that would need more than ``max_speed`` (metres per second) both to be reached and to be left.
+def far_apart(again: Mask, position: Sequence[Floats]) -> Mask:
+    """Of rows marked as repeating the time of the row before, those ``FAR`` and more from the first of that time: they
+    are of another body, and no second report of the same."""
+    rows = np.flatnonzero(again)
+    first = np.maximum.accumulate(np.where(again, 0, np.arange(len(again))))[rows]
+    lon, lat = position
+    out = np.zeros(len(again), dtype=bool)
+    out[rows] = great_circle(lon[first], lat[first], lon[rows], lat[rows]) >= FAR
+    return out
 
-    The first row of an agent counts if it cannot be left but the next one can, the last one likewise, so that of an
-    end and a wrong neighbour only the wrong one goes. Of two rows alone neither is known to be wrong.
-    """
-    first = starts(codes)
-    into = np.zeros(len(time), dtype=bool)  # too fast from the row before
+
+def fast_legs(codes: NDArray[np.int32], time: Floats, position: Sequence[Floats], geodetic: bool, limit: float) -> Mask:
+    """``(n,)`` whether more than ``limit`` (metres per second) takes a row's agent there from its row before."""
+    into = np.zeros(len(time), dtype=bool)
 
     def check(lo: int, hi: int) -> None:
         here = [p[lo + 1 : hi] for p in position]
         before = [p[lo : hi - 1] for p in position]
-        distance = great_circle(*before, *here) if geodetic else np.hypot.reduce(np.subtract(here, before))
-        into[lo + 1 : hi] = distance > max_speed * np.diff(time[lo:hi])
+        reach = limit * np.diff(time[lo:hi])
+        if not geodetic:
+            into[lo + 1 : hi] = np.hypot.reduce(np.subtract(here, before)) > reach
+            return
+        # Never less than the distance: what is within reach by this needs no trigonometry, and most is.
+        most = (np.abs(here[0] - before[0]) + np.abs(here[1] - before[1])) * (1.001 * EARTH_RADIUS * np.pi / 180)
+        left = np.flatnonzero(most > reach)
+        into[lo + 1 + left] = great_circle(*(p[left] for p in (*before, *here))) > reach[left]
 
     in_chunks(check, len(time), overlap=1)
-    into &= ~first
-    last = np.append(first[1:], True)
-    out = np.append(into[1:], False)
-    return (into & out) | (first & out & ~_next(out) & ~_next(last)) | (last & into & ~_before(into) & ~_before(first))
+    return into & ~starts(codes)
 
 
-def _next(mask: Mask) -> Mask:
-    return np.append(mask[1:], True)
+def bodies(codes: NDArray[np.int32], time: Floats, position: Sequence[Floats], geodetic: bool, limit: float) -> Codes:
+    """``(n,)`` which body of its agent a row belongs to: 0 for the largest, 1, 2, ... for others, -1 for none (a jump).
+
+    Rows of an agent are taken apart into strands within which no leg takes more than ``limit``, see
+    ``kernels.strands``. The largest, the first of equals, is the agent; others of ``LEAST`` rows are other bodies of
+    that name, or the same one after a leap; shorter ones are jumps.
+    """
+    body = np.zeros(len(time), dtype=np.int32)
+    into = fast_legs(codes, time, position, geodetic, limit)
+    if not into.any():
+        return body
+    from wakefold.io import kernels
+
+    wrong = np.zeros(int(codes[-1]) + 1, dtype=bool)
+    wrong[codes[into]] = True
+    rows = np.flatnonzero(wrong[codes])
+    some, strand = codes[rows], np.zeros(len(rows), dtype=np.int64)
+    offsets = np.append(np.flatnonzero(starts(some)), len(rows))
+    points = _in_space([p[rows] for p in position], geodetic)
+    kernels.strands(time[rows], points, offsets, EARTH_RADIUS if geodetic else 0.0, limit, strand)
+    # A key for each strand of each agent: where its agent's rows begin, and its number. Both below the number of rows.
+    key = np.repeat(offsets[:-1], np.diff(offsets)) + strand
+    sizes = np.bincount(key, minlength=len(rows))
+    strands = np.flatnonzero(sizes)
+    of = np.searchsorted(offsets, strands, side="right") - 1
+    ranked = strands[np.lexsort((strands, -sizes[strands], of))]
+    place = np.arange(len(ranked)) - np.searchsorted(of, np.arange(len(offsets) - 1))[of]  # ``of`` is rising
+    named = np.where((place == 0) | (sizes[ranked] >= LEAST), place, -1)
+    table = np.full(len(rows), -1, dtype=np.int32)
+    table[ranked] = named
+    body[rows] = table[key]
+    return body
 
 
-def _before(mask: Mask) -> Mask:
-    return np.append(True, mask[:-1])
+def _in_space(position: Sequence[Floats], geodetic: bool) -> Floats:
+    """``(n, 3)`` places: on the sphere, or in a plane or space, the rest 0."""
+    out = np.zeros((len(position[0]), 3))
+    if geodetic:
+        lon, lat = np.radians(position[0]), np.radians(position[1])
+        out[:, 0], out[:, 1] = np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon)
+        out[:, 2] = np.sin(lat)
+        return out * EARTH_RADIUS
+    for axis, values in enumerate(position):
+        out[:, axis] = values
+    return out
 
 
 def great_circle(lon0: Floats, lat0: Floats, lon1: Floats, lat1: Floats) -> Floats:

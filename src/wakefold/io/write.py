@@ -12,7 +12,9 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet as pq
 
-from wakefold.io.collect import identity
+from wakefold.base.checks import instance
+from wakefold.io.records import identity
+from wakefold.tracks.projection import cut_at_seam
 from wakefold.tracks.tracks import Tracks
 
 FORMATS = {".csv": "csv", ".parquet": "parquet", ".geojson": "geojson", ".json": "geojson"}
@@ -74,7 +76,8 @@ def _write_geojson(tracks: Tracks, path: Path) -> None:
     with path.open("w", encoding="utf-8") as file:
         file.write('{"type": "FeatureCollection", "features": [')
         for i, points in enumerate(tracks):
-            places = tracks.projection.to_geodetic(points).tolist()
+            lonlat = tracks.projection.to_geodetic(points)
+            places = lonlat.tolist()
             moments = tracks.times_of(i).tolist()
             properties = {name: values[i].item() for name, values in tracks.attributes.items()}
             properties = {name: value for name, value in properties.items() if value == value}  # JSON has no NaN
@@ -82,9 +85,12 @@ def _write_geojson(tracks: Tracks, path: Path) -> None:
             if len(places) == 1:
                 geometry = {"type": "Point", "coordinates": places[0]}
                 properties["time"] = moments[0]
-            else:
+            elif len(parts := cut_at_seam(lonlat)) == 1:
                 geometry = {"type": "LineString", "coordinates": places}
                 properties["times"] = moments
+            else:  # positions that the cut made have no time
+                geometry = {"type": "MultiLineString", "coordinates": [part.tolist() for part, _ in parts]}
+                properties["times"] = [[None if k < 0 else moments[k] for k in rows] for _, rows in parts]
             feature = {"type": "Feature", "properties": properties, "geometry": geometry}
             file.write((",\n" if i else "\n") + json.dumps(feature, allow_nan=False, ensure_ascii=False))
         file.write("\n]}\n")
@@ -95,7 +101,8 @@ def write_tracks(tracks: Tracks, path: str | PathLike[str], format: str | None =
 
     CSV and Parquet have a row for each point: ``track``, ``time`` (seconds), ``lon`` and ``lat`` (or ``x``, ``y`` and
     ``z``), the per-point columns and the attributes of the track. GeoJSON has a LineString for each track (a Point
-    for a track of one point) with its times (seconds) and attributes as properties; per-point columns are left out.
+    for a track of one point; a MultiLineString for one that crosses the antimeridian, at which it is cut) with its
+    times (seconds) and attributes as properties; per-point columns are left out.
 
     Args:
         path: where to.
@@ -106,4 +113,5 @@ def write_tracks(tracks: Tracks, path: str | PathLike[str], format: str | None =
             id that would be read back as another (blanks around it, "7.0"), or in CSV a text with a line end.
     """
 
-    write(tracks, Path(path), format)
+    instance(tracks, Tracks, "write_tracks takes Tracks")
+    write(tracks, Path(instance(path, (str, PathLike), "write_tracks takes a path")), format)

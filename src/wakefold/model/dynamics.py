@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from wakefold.base.checks import real
 from wakefold.base.remember import Remembers
 from wakefold.tracks.ragged import ragged_rows
 
@@ -98,11 +99,11 @@ class Dynamics(Remembers):
             starts=starts,
             lo=filtration.lo,
             hi=filtration.hi,
-            epsilon=float(epsilon),
+            epsilon=real(epsilon, "epsilon"),
             diagonal=tracks.diagonal,
             interval=float(np.median(intervals)) if len(intervals) else 1.0,
             noise=noise,
-            scale=0.0 if scale is None else float(scale),
+            scale=0.0 if scale is None else real(scale, "scale"),
         )
         if scale is not None:
             return made

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from wakefold.base.files import opened
+from wakefold.tracks.projection import cut_at_seam
 
 if TYPE_CHECKING:
     from wakefold.model.filtration import Filtration
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 def write_classes(tracks: Tracks, tree: Filtration, level: float, path: Path) -> None:
     """The classes alive at a level as GeoJSON (RFC 7946): a feature for each, the largest first, its tracks as lines.
 
-    Longitudes run on past 180 degrees along a track that crosses the antimeridian.
+    A track that crosses the antimeridian is cut there (RFC 7946, 3.1.9).
 
     Raises:
         ValueError: the tracks are planar, which GeoJSON does not know.
@@ -40,7 +41,7 @@ def write_classes(tracks: Tracks, tree: Filtration, level: float, path: Path) ->
             if np.isfinite(tree.death[c]):  # the root does not die
                 properties["death"] = float(tree.death[c])
             properties["members"] = [str(tree.ids[i]) for i in members]
-            lines = [_line(places[i]) for i in members]
+            lines = [part for i in members for part in _lines(places[i])]
             geometry = {"type": "MultiLineString", "coordinates": lines}
             feature = {"type": "Feature", "properties": properties, "geometry": geometry}
             file.write((",\n" if count else "\n") + json.dumps(feature, allow_nan=False, ensure_ascii=False))
@@ -64,6 +65,6 @@ def write_newick(tree: Filtration, path: Path) -> None:
         file.write(tree.newick() + "\n")
 
 
-def _line(lonlat: np.ndarray) -> list[list[float]]:
-    line = np.column_stack([np.unwrap(lonlat[:, 0], period=360.0), lonlat[:, 1]]).round(6).tolist()
-    return line if len(line) > 1 else line * 2  # a line needs two positions
+def _lines(lonlat: np.ndarray) -> list[list[list[float]]]:
+    parts = [np.round(part, 6).tolist() for part, _ in cut_at_seam(lonlat)]
+    return [part if len(part) > 1 else part * 2 for part in parts]  # a line needs two positions

@@ -181,7 +181,7 @@ class Filtration(Remembers):
         """
         try:
             return cls(arrays["order"], arrays["gaps"], arrays["ids"], meta["linkage"])
-        except (KeyError, ValueError, TypeError) as error:
+        except (KeyError, ValueError, TypeError, OverflowError, AttributeError) as error:
             raise store.StoreError(f"not a sound filtration: {error}") from None
 
     def save(self, directory: str | os.PathLike[str]) -> None:

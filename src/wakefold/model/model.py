@@ -11,6 +11,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from wakefold.base import store
+from wakefold.base.checks import real
 from wakefold.base.parallel import Executor
 from wakefold.base.units import Duration, seconds
 from wakefold.base.wording import number_text
@@ -184,7 +185,7 @@ def load(directory: str | os.PathLike[str]) -> Model:
         memory = [Memory.unpacked(part("memory"), meta["memory"], filtration)] if "memory" in meta else []
         shaping = meta.get("shaping", {})  # older models have none, and no memory
         return Model(tracks, filtration, dynamics, meta["sd"], shaping, memory)
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError, IndexError) as error:
         raise store.StoreError(f"{directory} is not a sound model: {error}") from None
 
 
@@ -222,4 +223,4 @@ def learn(
     if sd is None:
         spacing = tracks.median_spacing
         sd = 0.5 * (spacing if spacing > 0 else dynamics.epsilon)  # NaN when every track is a single point
-    return Model(tracks, filtration, dynamics, float(sd))
+    return Model(tracks, filtration, dynamics, real(sd, "sd"))

@@ -1,4 +1,4 @@
-"""Observations of many agents as a feed, one line each: CSV or JSON lines; or the points of any file of tracks.
+"""Observations of many agents as a feed, one line each: CSV or JSON lines.
 
 A feed may be endless, so everything here works on the lines that are there, and a line that cannot be used costs itself
 only: it comes out as a ``Refused`` that says which field is wrong. docs/cli.md describes the lines.
@@ -11,37 +11,31 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from io import BufferedIOBase
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
-import numpy as np
-
+from wakefold.base.checks import shown
+from wakefold.base.wording import escaped
 from wakefold.evidence.coarse import CONFIDENCE, CoarseClass
 from wakefold.evidence.evidence import Evidence
 from wakefold.evidence.fix import Fix
-from wakefold.io.formats.tables import recognised
-from wakefold.io.report import ReadError, listed
-from wakefold.io.times import formatted, number, parse, within
-from wakefold.tracks.projection import dated
+from wakefold.io.columns import recognised
+from wakefold.io.coordinates import degrees
+from wakefold.io.records import identity, plain
+from wakefold.io.report import ReadError, listed, some
+from wakefold.io.times import Moment, formatted, number, of_day, parse, within
 
 if TYPE_CHECKING:
     from wakefold.model.filtration import Filtration
-    from wakefold.tracks.tracks import Tracks
-if TYPE_CHECKING:
-    from wakefold.io.read import Columns
-    from wakefold.io.report import Report
 
 Form = Literal["csv", "jsonl"]
 Lines = Sequence[tuple[int, bytes]]  # with their numbers
 BLOCK = 1 << 18  # bytes that are read at once: some thousands of lines
-POINTS = 4096  # of tracks, in a block
 BOM = b"\xef\xbb\xbf"
 LONGEST_LINE = 1 << 16  # bytes; an observation is some tens of them
 LONGEST_NAME = 200  # characters of an agent's name
 FIELDS = ("agent", "track", "time", "lon", "lat", "x", "y", "z")  # under the names that `tables` recognises
 MORE_FIELDS = ("sd", "class", "level", "confidence")
 LARGEST = 1e100  # of numbers; their squares still are numbers
-ECHOED = 60  # characters of a value that a message repeats
 
 
 class Observation(NamedTuple):
@@ -56,6 +50,7 @@ class Observation(NamedTuple):
         class_: a class id, or ``track:NAME`` for the class that holds this track at the level.
         level: of the class, metres; the birth of the class without it.
         confidence: probability that the report of the class is right.
+        note: what was passed over, for whoever runs the feed.
     """
 
     line: int
@@ -66,6 +61,7 @@ class Observation(NamedTuple):
     class_: int | str | None = None
     level: float | None = None
     confidence: float = CONFIDENCE
+    note: str | None = None
 
     def coarse(self, tree: Filtration) -> list[Evidence]:
         """The report of a class as evidence, an empty list if there is none.
@@ -104,14 +100,20 @@ def header_problem(first: bytes, columns: Mapping[str, str | int] | None = None)
     """What the first line of a CSV feed lacks to be a header of observations; None if nothing."""
     names = _layout(first.removeprefix(BOM))[1]
     for ours, name in (columns or {}).items():
-        if name not in names:
-            return f"no column {name!r} (for {ours}) among {listed(names)}"[:500]
+        if not _there(name, names):
+            return f"no column {name!r} (for {ours}) among {some(names)}"[:500]
     found = _Names(columns or {}).ours(tuple(names))
     missing = [] if {"agent", "track"} & found.keys() else ["agent"]
     missing += [] if "time" in found else ["time"]
     if not ({"lon", "lat"} <= found.keys() or {"x", "class"} & found.keys()):
         missing.append("lon and lat (or x and y, or class)")
-    return f"no column for {listed(missing)} among {listed(names)}"[:500] if missing else None
+    return f"no column for {listed(missing)} among {some(names)}"[:500] if missing else None
+
+
+def _there(name: str | int, names: Iterable[str]) -> bool:
+    """Whether a field that the caller names is there; ``Date+Time`` is two."""
+    there = {*names}
+    return name in there or (isinstance(name, str) and "+" in name and set(map(str.strip, name.split("+"))) <= there)
 
 
 def read(
@@ -130,10 +132,13 @@ def read(
         ReadError: the header of a CSV feed does not say who and when.
     """
     fields: Callable[[bytes], Mapping[str, Any]] | None = None
+    stated = frozenset(columns or ())
     for block in blocks:
         lines = [(n, line.removeprefix(BOM)) for n, line in block if line.strip()]
         if lines and fields is None:
             first = lines[0][1]
+            if b"\0" in first:
+                raise ReadError("observations: text in UTF-16, or binary data; a feed is UTF-8")
             if form_of(first) == "jsonl":
                 fields = _JsonFields(columns or {})
             elif problem := header_problem(first, columns):
@@ -147,7 +152,7 @@ def read(
             try:
                 if len(line) > LONGEST_LINE:
                     raise ValueError(f"line: longer than {LONGEST_LINE:,} bytes")
-                seen.append(_observation(n, fields(line), time_format))
+                seen.append(_observation(n, fields(line), time_format, stated))
             except ValueError as error:
                 seen.append(Refused(n, str(error)))
         if seen:
@@ -171,7 +176,7 @@ def blocks_of(stream: BufferedIOBase) -> Iterator[Lines]:
     Of a line longer than ``LONGEST_LINE`` that much and a byte comes, so that ``read`` refuses it.
     """
     first, rest = 1, b""
-    while data := stream.read1(BLOCK):
+    while data := _read(stream):
         *lines, rest = (rest + data).split(b"\n")
         rest = rest[: LONGEST_LINE + 1]
         if lines:
@@ -181,21 +186,11 @@ def blocks_of(stream: BufferedIOBase) -> Iterator[Lines]:
         yield [(first, rest)]
 
 
-def of_tracks(tracks: Tracks) -> Iterator[list[Observation | Refused]]:
-    """The points of tracks as fixes of their agents, all in the order of time, in blocks."""
-    owner = np.repeat(np.arange(len(tracks)), tracks.lengths)
-    names = tracks.attributes.get("agent", tracks.ids)
-    geodetic, dates = tracks.projection is not None, dated(tracks.projection, float(tracks.times.min()))
-    places = tracks.projection.to_geodetic(tracks.points) if tracks.projection is not None else tracks.points
-    block: list[Observation | Refused] = []
-    for count, row in enumerate(np.argsort(tracks.times, kind="stable"), 1):
-        fix = Fix(lon=places[row, 0], lat=places[row, 1]) if geodetic else Fix(places[row])
-        time = float(tracks.times[row])
-        stamp = str(np.datetime64(round(1000 * time), "ms")) + "Z" if dates else time
-        block.append(Observation(count, str(names[owner[row]]), time, stamp, fix))
-        if len(block) == POINTS or count == len(owner):
-            yield block
-            block = []
+def _read(stream: BufferedIOBase) -> bytes:
+    try:
+        return stream.read1(BLOCK)
+    except (OSError, ValueError) as error:
+        raise ReadError(f"standard input cannot be read: {getattr(error, 'strerror', None) or error}") from None
 
 
 # Lines to fields
@@ -205,7 +200,7 @@ def _json_object(text: bytes) -> dict[str, Any]:
     try:
         row = json.loads(text)
     except (ValueError, RecursionError):
-        found = _echo(text[:LONGEST_NAME].decode("utf-8", "replace").strip())
+        found = shown(text[:LONGEST_NAME].decode("utf-8", "replace").strip())
         raise ValueError(f"line: not JSON: {found}") from None
     if not isinstance(row, dict):
         raise ValueError("line: not a JSON object")
@@ -214,7 +209,7 @@ def _json_object(text: bytes) -> dict[str, Any]:
 
 def _layout(header: bytes) -> tuple[str, list[str]]:
     """Delimiter and names of the columns."""
-    text = header.decode("utf-8", "replace").strip("\r\n")
+    text = header.decode("utf-8", "replace").strip("\r\n").replace("\r", " ")
     delimiter = max(",;\t|", key=text.count)
     return delimiter, [name.strip() for name in next(csv.reader([text], delimiter=delimiter))]
 
@@ -226,11 +221,15 @@ class _CsvFields:
         self.delimiter, names = _layout(header)
         self.width = len(names)
         at = {name: k for k, name in enumerate(names)}
-        self.places = [(ours, at[name]) for ours, name in _Names(columns).ours(tuple(at)).items()]
+        ours = _Names(columns)
+        found = ours.ours(tuple(at))
+        self.places = [(name, at[their]) for name, their in found.items() if their in at]
+        self.moment = [at[part.strip()] for part in found["time"].split("+")] if ours.is_joined(found, at) else []
+        self.second = ours.may_be_second(found)
 
-    def __call__(self, line: bytes) -> dict[str, str]:
-        text = line.decode("utf-8", "replace").strip("\r\n")
-        if '"' in text or "\r" in text:
+    def __call__(self, line: bytes) -> dict[str, Any]:
+        text = line.decode("utf-8", "replace").strip("\r\n").replace("\r", " ")
+        if '"' in text:
             try:
                 cells = next(csv.reader([text], delimiter=self.delimiter, strict=True))
             except csv.Error:
@@ -239,7 +238,12 @@ class _CsvFields:
             cells = text.split(self.delimiter)
         if len(cells) != self.width:
             raise ValueError(f"line: {len(cells)} fields, the header has {self.width}")
-        return {ours: cell for ours, k in self.places if (cell := cells[k].strip())}
+        row: dict[str, Any] = {ours: cell for ours, k in self.places if (cell := cells[k].strip())}
+        if self.moment:
+            row["time"] = Moment(*(cells[k].strip() for k in self.moment))
+        if self.second:
+            _check_second(row.get("time"))
+        return row
 
 
 class _JsonFields:
@@ -250,7 +254,16 @@ class _JsonFields:
 
     def __call__(self, line: bytes) -> dict[str, Any]:
         row = _json_object(line)
-        return {ours: row[name] for ours, name in self.names.ours(tuple(row)).items() if row[name] not in (None, "")}
+        theirs = self.names.ours(tuple(row))
+        for ours in ("agent", "track", "time"):
+            if ours in self.names.columns and ours not in theirs:
+                raise ValueError(f"{ours}: no field {self.names.columns[ours]!r} among {some(list(row))}"[:300])
+        out = {ours: row[name] for ours, name in theirs.items() if name in row and row[name] not in (None, "")}
+        if self.names.is_joined(theirs, row):
+            out["time"] = Moment(*(str(row[part.strip()]) for part in theirs["time"].split("+")))
+        if self.names.may_be_second(theirs):
+            _check_second(out.get("time"))
+        return out
 
 
 class _Names:
@@ -267,42 +280,77 @@ class _Names:
             plain = {name.strip().lower(): name for name in keys}
             theirs = {ours: name for ours, name in recognised(keys).items() if ours in FIELDS}
             theirs |= {ours: plain[ours] for ours in MORE_FIELDS if ours in plain}
-            theirs |= {ours: str(name) for ours, name in self.columns.items() if name in keys}
+            theirs |= {ours: str(name) for ours, name in self.columns.items() if _there(name, keys)}
+            absent = {ours for ours, name in self.columns.items() if not _there(name, keys)}
+            absent |= {"track"} if "agent" in absent else set()  # nothing else stands for what the caller names
+            theirs = {ours: name for ours, name in theirs.items() if ours not in absent}
             if len(self._known) < 1000:
                 self._known[keys] = theirs
         return theirs
+
+    @staticmethod
+    def is_joined(theirs: Mapping[str, str], keys: Iterable[str]) -> bool:
+        """Whether the time is two fields, a date and a time of day."""
+        return "time" in theirs and theirs["time"] not in keys
+
+    def may_be_second(self, theirs: Mapping[str, str]) -> bool:
+        """Whether the time is the field ``timestamp`` of AIS, and nobody said so."""
+        ais = plain(theirs.get("time", "")) == "timestamp" and plain(theirs.get("agent", "")) == "mmsi"
+        return ais and "time" not in self.columns
+
+
+def _check_second(value: Any) -> None:
+    """Refuse the second of a minute."""
+    if value is not None and 0 <= number(value) <= 63:
+        raise ValueError(f"time: {shown(value)} is the second of a minute, as in AIS; see --columns time=...")
 
 
 # Fields to an observation
 
 
-def _observation(line: int, row: Mapping[str, Any], time_format: str | None) -> Observation:
+def _observation(line: int, row: Mapping[str, Any], time_format: str | None, stated: frozenset[str]) -> Observation:
     agent = row.get("agent", row.get("track"))
+    if "agent" not in row and "track" not in stated and number(agent) % 1 > 0:
+        raise ValueError(f"agent: missing (track {shown(agent)} is a course, and no name)")
     if agent is None or isinstance(agent, (bool, dict, list)):
         raise ValueError("agent: missing")
     name = str(agent)
     if len(name) > LONGEST_NAME:
         raise ValueError(f"agent: longer than {LONGEST_NAME} characters")
     if not name.isascii() and any("\ud800" <= c <= "\udfff" for c in name):  # JSON can write half a character
-        raise ValueError(f"agent: {_echo(agent)} is not text")
+        raise ValueError(f"agent: {shown(agent)} is not text")
     if "time" not in row:
         raise ValueError("time: missing")
-    time = parse(row["time"]) if time_format is None else formatted(str(row["time"]), time_format)
+    time = _time(row["time"], time_format)
     if not math.isfinite(time):
         wanted = "neither ISO 8601 nor a number of seconds" if time_format is None else f"not like {time_format}"
-        raise ValueError(f"time: {_echo(row['time'])} is {wanted}")
+        if time_format is None and of_day(str(row["time"])) >= 0:
+            wanted = "a time of day; --columns time=DATE+TIME joins it with the field of its date"
+        raise ValueError(f"time: {shown(row['time'])} is {wanted}")
     if not within(time):
         hint = " (is it in seconds? see --time-format)" if time_format is None else ""
-        raise ValueError(f"time: {_echo(row['time'])} lies outside the years 1 to 9999{hint}")
-    class_ = _class(row["class"]) if "class" in row else None
+        raise ValueError(f"time: {shown(row['time'])} lies outside the years 1 to 9999{hint}")
+    fix, note = _fix(row), None
+    try:
+        class_ = _class(row["class"]) if "class" in row else None
+    except ValueError:
+        if fix is None or "class" in stated or not isinstance(row["class"], str):
+            raise
+        class_, note = None, f"class such as {shown(row['class'])} beside a fix is no report of a class and not used"
     level, confidence = _number(row, "level"), _number(row, "confidence")
     if level is not None and level < 0:
         raise ValueError(f"level: must not be below 0, got {level:g}")
     if confidence is not None and not 0 < confidence <= 1:
         raise ValueError(f"confidence: must be above 0 and at most 1, got {confidence:g}")
-    stamp = row["time"] if isinstance(row["time"], (int, float)) else str(row["time"])
+    stamp = row["time"] if isinstance(row["time"], (int, float)) else escaped(str(row["time"]))
     sure = CONFIDENCE if confidence is None else confidence
-    return Observation(line, name, time, stamp, _fix(row), class_, level, sure)
+    return Observation(line, escaped(identity(name)), time, stamp, fix, class_, level, sure, note)
+
+
+def _time(value: Any, time_format: str | None) -> float:
+    if time_format is not None:
+        return formatted(str(value), time_format)
+    return value.seconds if isinstance(value, Moment) else parse(value)
 
 
 def _fix(row: Mapping[str, Any]) -> Fix | None:
@@ -324,9 +372,9 @@ def _fix(row: Mapping[str, Any]) -> Fix | None:
 def _number(row: Mapping[str, Any], name: str) -> float | None:
     if name not in row:
         return None
-    value = number(row[name])
+    value = degrees(row[name], name) if name in ("lon", "lat") and isinstance(row[name], str) else number(row[name])
     if not abs(value) < LARGEST:  # NaN too
-        raise ValueError(f"{name}: {_echo(row[name])} is {'out of range' if _large(row[name]) else 'not a number'}")
+        raise ValueError(f"{name}: {shown(row[name])} is {'out of range' if _large(row[name]) else 'not a number'}")
     return value
 
 
@@ -339,11 +387,6 @@ def _large(value: Any) -> bool:
         return False
 
 
-def _echo(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= ECHOED else f"{text[: ECHOED - 3]}..."
-
-
 def _class(value: Any) -> int | str:
     if isinstance(value, str) and value.startswith("track:"):
         if len(value) > LONGEST_NAME:
@@ -354,36 +397,4 @@ def _class(value: Any) -> int | str:
             raise ValueError
         return int(value)
     except (ValueError, TypeError, OverflowError):
-        raise ValueError(f"class: {_echo(value)} is neither the number of a class nor track:NAME") from None
-
-
-def feed_of(
-    path: Path, columns: Columns | None, time_format: str | None, progress: Callable[[int, int], None]
-) -> tuple[Form, Iterator[list[Observation | Refused]], Report | None]:
-    """What a file observes: CSV or JSON lines as they stand, any other format by way of ``read_tracks``.
-
-    Returns:
-        the form of the file ("csv" for anything else), its observations in blocks, the report of ``read_tracks``.
-
-    Raises:
-        ReadError: neither observations nor tracks.
-    """
-    from wakefold.io import ReadError, read_tracks
-    from wakefold.io.sniff import sniff
-    from wakefold.io.source import open_sources
-
-    def feed() -> Iterator[list[Observation | Refused]]:
-        for source in open_sources(path, progress=progress):
-            blocks = (list(enumerate(block.split(b"\n"), number)) for number, block, _ in source.blocks(BLOCK))
-            yield from read(blocks, columns, time_format)
-
-    source = next(iter(open_sources(path)))
-    first = next((line for line in source.head.split(b"\n") if line.strip()), b"")
-    try:
-        ais = sniff(source, columns) in ("marinecadastre", "dma")  # they have sentinels and rules of their own
-    except ReadError:
-        ais = False
-    if is_feed(first, columns) and not ais:
-        return form_of(first), feed(), None
-    tracks, report = read_tracks(path, columns=columns, time_format=time_format, progress=progress)
-    return "csv", of_tracks(tracks), report
+        raise ValueError(f"class: {shown(value)} is neither the number of a class nor track:NAME") from None

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from io import BufferedIOBase
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from wakefold.base.files import opened
 from wakefold.base.wording import counted
 from wakefold.service.agents import Crowd
 from wakefold.service.album import Album
 from wakefold.service.answers import csv_header, csv_line, json_line
-from wakefold.service.feed import Refused, blocks_of, feed_of, form_of, read
+from wakefold.service.feed import Refused, blocks_of, form_of, read
+from wakefold.service.observed import feed_of
 
 if TYPE_CHECKING:
-    from wakefold.io.read import Columns
     from wakefold.service.feed import Form
 
 _TROUBLE = re.compile(r"[a-z, ]+")  # what is wrong with a line, before all that is its own
@@ -29,8 +29,7 @@ def run(
     observations: str,
     output: str,
     form: Form | None,
-    columns: Columns | None,
-    time_format: str | None,
+    reading: Mapping[str, Any],
     agents: frozenset[str],
     album: Album | None,
     progress: Callable[..., None],
@@ -40,6 +39,7 @@ def run(
 
     Args:
         form: of the answers; that of the observations without.
+        reading: ``columns``, ``time_format`` and what else ``read_tracks`` takes.
         agents: follow these only; all if empty.
         album: collects moments for a picture.
 
@@ -52,14 +52,18 @@ def run(
     from wakefold.io import ReadError
 
     if observations == "-":
+        if sys.stdin is None:
+            raise ReadError("standard input is closed")
+        if "max_speed" in reading:
+            raise ReadError("--max-speed does not apply to standard input, which is taken line by line")
         blocks = blocks_of(cast(BufferedIOBase, sys.stdin.buffer))
         first = next(blocks, [])
         given = form_of(next((line for _, line in first if line.strip()), b""))
-        feed = read(chain([first], blocks), columns, time_format)
+        feed = read(chain([first], blocks), reading["columns"], reading["time_format"])
     else:
-        given, feed, report = feed_of(Path(observations), columns, time_format, progress)
-        if report is not None:
-            say(str(report))
+        given, feed, notes = feed_of(Path(observations), reading, progress)
+        for note in notes:
+            say(note)
     form = form or given
     answered = refused = 0
     met: set[str] = set()
@@ -82,6 +86,8 @@ def run(
                             kind = trouble[0].strip(", ") if trouble else "other"
                             crowd.remarks(f"lines refused ({kind})", f"line {one.line} refused: {one.why}")
                             continue
+                        if one.seen.note is not None:
+                            crowd.remarks.once("notes", f"line {one.seen.line}: {one.seen.note}")
                         lines.append(line_of(one.answer))
                         if album is not None:
                             album.add(one.seen, one.belief, crowd)

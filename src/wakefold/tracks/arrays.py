@@ -45,7 +45,7 @@ class TrackArrays:
         lengths = np.diff(offsets)
         if len(ids) != len(lengths):
             raise ValueError(f"{len(lengths)} tracks but {len(ids)} ids")
-        if len(np.unique(ids)) != len(ids):
+        if len(set(ids.tolist())) != len(ids):  # several times as fast as sorting them
             names, counts = np.unique(ids, return_counts=True)
             raise ValueError(f"track id {str(names[counts > 1][0])!r} is used more than once")
         if (lengths <= 0).any():

@@ -12,6 +12,7 @@ from wakefold.base.remember import Remembers
 from wakefold.base.units import DAY
 
 YEAR = 365 * DAY
+YEAR_2100 = 4_102_444_800.0
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,13 @@ class Projection(Remembers):
 
     lon: float
     lat: float
+
+    def __post_init__(self) -> None:
+        for name, value, most in (("lon", self.lon, 360.0), ("lat", self.lat, 90.0)):
+            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not abs(value) <= most:
+                raise ValueError(
+                    f"the {name} of a projection's centre must be degrees, at most {most:g}, got {value!r}"
+                )
 
     @classmethod
     def of(cls, lon: ArrayLike, lat: ArrayLike) -> Projection:
@@ -51,8 +59,16 @@ class Projection(Remembers):
 
     def to_plane(self, lon: ArrayLike, lat: ArrayLike) -> NDArray[np.float64]:
         """``(n, 2)`` metres east and north of the centre; NaN or inf where a position is not one."""
-        x, y = self._transformer.transform(np.asarray(lon, dtype=np.float64), np.asarray(lat, dtype=np.float64))
-        return np.stack([np.atleast_1d(x), np.atleast_1d(y)], axis=1)
+        from wakefold.tracks.kernels import plane
+
+        lon, lat = (np.atleast_1d(np.asarray(angle, dtype=np.float64)) for angle in (lon, lat))
+        x, y, cosine = np.empty((3, len(lon)))
+        plane.azimuthal(lon, lat, float(self.lon), float(self.lat), x, y, cosine)
+        out = np.stack([x, y], axis=1)
+        far = ~((cosine >= plane.NEAR) & (np.abs(lat) <= 90.0))  # also what is no position
+        if far.any():
+            out[far] = np.stack(self._transformer.transform(lon[far], lat[far]), axis=1)
+        return out
 
     def to_geodetic(self, points: ArrayLike) -> NDArray[np.float64]:
         """``(n, 2)`` longitude (-180..180) and latitude, degrees, of plane positions ``(n, 2)`` or ``(n, 3)``."""
@@ -65,6 +81,38 @@ class Projection(Remembers):
         return f"metres about {abs(self.lat):.4g}°{north} {abs(self.lon):.4g}°{east}"
 
 
+def cut_at_seam(lonlat: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], NDArray[np.int64]]]:
+    """A line ``(n, 2)`` of longitudes and latitudes, degrees, in parts none of which crosses the antimeridian.
+
+    A leg is the shorter way round. Where one crosses, a part ends at longitude 180 (or -180) and the next begins at the
+    other, at the latitude between (RFC 7946, 3.1.9).
+
+    Returns:
+        each part ``(k, 2)`` with the rows ``(k,)`` that its positions are; -1 for those that the cut made.
+    """
+    lon, lat = lonlat[:, 0], lonlat[:, 1]
+    step = np.diff(lon)
+    parts, begin = [], 0
+    head = np.empty((0, 2))
+    for k in np.flatnonzero(np.abs(step) > 180.0):
+        side = np.copysign(180.0, lon[k])
+        span = step[k] + 2.0 * side  # from here on past the side to the next position
+        share = (side - lon[k]) / span if span != 0.0 else 0.0
+        at = lat[k] + share * (lat[k + 1] - lat[k])
+        rows = np.arange(begin, k + 1)
+        parts.append((head, rows, np.array([[side, at]])))
+        head, begin = np.array([[-side, at]]), k + 1
+    parts.append((head, np.arange(begin, len(lon)), np.empty((0, 2))))
+    return [
+        (
+            np.vstack([before, lonlat[rows], after]),
+            np.concatenate([[-1] * len(before), rows, [-1] * len(after)]).astype(int),
+        )
+        for before, rows, after in parts
+    ]
+
+
 def dated(projection: Projection | None, earliest: float) -> bool:
-    """Whether times from ``earliest`` on are dates: of geodetic tracks after 1970. Data without times count from 0."""
-    return projection is not None and earliest >= YEAR
+    """Whether times from ``earliest`` on are dates: of geodetic tracks after 1970, of planar ones from 2001 on, since
+    other clocks count from 0. Data without times do too."""
+    return earliest >= YEAR if projection is not None else 1e9 <= earliest < YEAR_2100

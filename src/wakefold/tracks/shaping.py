@@ -118,7 +118,7 @@ def segment(
         raise ValueError("max_speed must be above 0")
     moving = np.ones(len(tracks.points), dtype=bool)
     if stop_radius is not None and stop_time is not None:
-        from wakefold.tracks.kernels import mark_stops
+        from wakefold.tracks.kernels.ragged import mark_stops
 
         if not (least := seconds(stop_time)) > 0:
             raise ValueError("stop_time must be above 0")
@@ -185,7 +185,7 @@ def simplify(tracks: T, tolerance: Length) -> T:
     Args:
         tolerance: metres, or such as "20m".
     """
-    from wakefold.tracks.kernels import douglas_peucker
+    from wakefold.tracks.kernels.ragged import douglas_peucker
 
     kept = np.zeros(len(tracks.points), dtype=bool)
     douglas_peucker(tracks.points, tracks.offsets, metres(tolerance), kept)
@@ -242,7 +242,7 @@ def _noted(tracks: T, notes: Sequence[str]) -> T:
 
 def along(tracks: TrackArrays, chosen: Ints, share: Floats) -> Floats:
     """Positions ``(N, d)`` at a share of the duration of each of the chosen tracks (N,)."""
-    from wakefold.tracks import kernels
+    from wakefold.tracks.kernels import ragged as kernels
 
     out = np.empty((len(chosen), tracks.dim))
     kernels.along(tracks.points, tracks.times, tracks.offsets, chosen, share, out)

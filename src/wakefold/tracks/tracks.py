@@ -6,7 +6,7 @@ Inside, positions are metres in a local plane (or the data's own plane units) an
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from wakefold.base import store
+from wakefold.base.checks import shown
 from wakefold.base.types import Floats
 from wakefold.tracks import shaping
 from wakefold.tracks.arrays import TrackArrays
@@ -56,7 +57,12 @@ class Tracks(TrackArrays):
             times: seconds, one array per track; without them the points are one second apart, from 0.
             ids: one name per track; "0", "1", ... without them.
         """
-        arrays = [np.asarray(p, dtype=np.float64) for p in points]
+        if isinstance(points, str) or not isinstance(points, Iterable):
+            raise TypeError(f"tracks are made of one array of positions each, got {shown(points)}")
+        try:
+            arrays = [np.asarray(p, dtype=np.float64) for p in points]
+        except (TypeError, ValueError, OverflowError):
+            raise ValueError(f"positions must be numbers, got {shown(points)}") from None
         arrays = [p[:, None] if p.ndim == 1 else p for p in arrays]
         if not arrays:
             raise ValueError("no tracks")
@@ -209,7 +215,7 @@ class Tracks(TrackArrays):
                 columns={name: arrays[f"columns_{k}"] for k, name in enumerate(meta["columns"])},
                 notes=tuple(meta["notes"]),
             )
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as error:
             raise store.StoreError(f"this does not describe tracks: {error}") from None
 
     def save(self, directory: str | Path) -> None:

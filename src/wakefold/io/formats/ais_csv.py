@@ -9,23 +9,23 @@ knots; times are UTC, day first in the Danish files, whose ``Type of mobile`` te
 # (pyarrow.compute makes its functions when it is imported)
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from wakefold.io import clock, times
 from wakefold.io.formats import ais, delimited
-from wakefold.io.formats.delimited import plain
-from wakefold.io.records import Rows, as_text
+from wakefold.io.records import Rows, as_text, plain
 from wakefold.io.report import ReadError, Tally
 from wakefold.io.source import Source
 
 FIELDS: dict[str, tuple[tuple[str, ...], delimited.Kind]] = {
     "agent": (("mmsi",), "integer"),
     "time": (("basedatetime",), "time"),
-    "lon": (("lon", "longitude"), "float"),
-    "lat": (("lat", "latitude"), "float"),
+    "lon": (("lon", "longitude"), "lon"),
+    "lat": (("lat", "latitude"), "lat"),
     "sog": (("sog",), "float32"),
     "cog": (("cog",), "float32"),
     "heading": (("heading",), "float32"),
@@ -50,9 +50,9 @@ NOTHING = pa.array([b"Unknown", b"Undefined"])
 """What the Danish files write where nothing is known."""
 
 
-def read(source: Source, tally: Tally, danish: bool) -> Iterator[Rows]:
+def read(source: Source, tally: Tally, danish: bool, time_format: str | None) -> Iterator[Rows]:
     """Batches of rows of a MarineCadastre or (``danish``) Danish Maritime Authority file."""
-    layout = delimited.layout(source.head)
+    layout = delimited.layout(source.head, is_header=_is_header)
     names = [plain(name) for name in layout.names]
     wanted: dict[str, tuple[int, delimited.Kind]] = {}
     for ours, (theirs, kind) in (DANISH if danish else FIELDS).items():
@@ -62,10 +62,23 @@ def read(source: Source, tally: Tally, danish: bool) -> Iterator[Rows]:
     missing = {"agent", "time", "lon", "lat"} - wanted.keys()
     if missing:
         raise ReadError(f"{source.name}: an AIS table without {', '.join(sorted(missing))}")
-    for block in delimited.read(source, layout, wanted, DMA_TIME if danish else None):
+    if time_format is None:
+        where = wanted["time"][0]
+        values = delimited.sample(source.head, layout)[where]
+        if danish and any(times.formatted(value, DMA_TIME) == times.formatted(value, DMA_TIME) for value in values):
+            time_format = DMA_TIME
+        else:
+            time_format, notes = clock.form_of(source.name, layout.names[where], values)
+            tally.decided(notes)
+    for block in delimited.read(source, layout, wanted, time_format):
         tally.rows += len(block.bad)
         tally.reject("bad line", len(block.bad), block.bad)
         yield from _rows(block, tally, danish)
+
+
+def _is_header(names: Sequence[str]) -> bool:
+    there = {plain(name) for name in names}
+    return there >= ais.DMA or any(want <= there for want in ais.MARINECADASTRE)
 
 
 def _rows(block: delimited.Block, tally: Tally, danish: bool) -> Iterator[Rows]:
@@ -82,6 +95,7 @@ def _rows(block: delimited.Block, tally: Tally, danish: bool) -> Iterator[Rows]:
         lines=block.lines,
         text=block.text,
         columns=ais.motion(*motion),
+        whole_turn=False,
         attributes={
             name: _attribute(name, block.columns[name], danish) for name in ATTRIBUTES if name in block.columns
         },

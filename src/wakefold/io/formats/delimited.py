@@ -10,9 +10,9 @@ from __future__ import annotations
 import csv
 import re
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -20,16 +20,21 @@ import pyarrow as pa
 import pyarrow.csv
 from numpy.typing import NDArray
 
-from wakefold.io import times
-from wakefold.io.records import as_text, decoded, to_numbers
+from wakefold.io import coordinates, times
+from wakefold.io.records import SAMPLED, as_text, decoded, to_numbers
 from wakefold.io.report import ReadError
-from wakefold.io.source import Source
+from wakefold.io.source import HEAD, Source
 
 THREADS = 2
 DELIMITERS = ",;\t|"
 
-Kind = Literal["integer", "float", "float32", "text", "time"]
+TOP = 50
+"""Lines that may stand before a header."""
+COMMENTS = (b"#", b"//", b"%", b"--")
+
+Kind = Literal["integer", "float", "float32", "lon", "lat", "text", "time"]
 TYPES = {"integer": pa.int64(), "float": pa.float64(), "float32": pa.float32(), "text": pa.binary()}
+TYPES |= {"lon": pa.float64(), "lat": pa.float64()}
 
 
 @dataclass(frozen=True)
@@ -40,11 +45,13 @@ class Layout:
         names: of its columns; "0", "1", ... without a header.
         delimiter: one of comma, semicolon, tab, bar; a space stands for any run of white space.
         header: number of the header's line, 0 without one.
+        comma: numbers have a decimal comma.
     """
 
     names: tuple[str, ...]
     delimiter: str
     header: int
+    comma: bool = False
 
 
 @dataclass
@@ -78,21 +85,72 @@ class Block:
         return np.asarray(self.columns[name], dtype=np.float64)
 
 
-def layout(head: bytes, header: bool = True) -> Layout:
-    """Delimiter and column names from the first line that is not blank."""
-    lines = head.split(b"\n")
-    number = next((i for i, line in enumerate(lines) if line.strip()), 0)
-    line = as_text(lines[number])
-    delimiter = max(DELIMITERS, key=line.count)
+def layout(head: bytes, header: bool = True, is_header: Callable[[Sequence[str]], bool] | None = None) -> Layout:
+    """Delimiter and column names from the first line that is a header.
+
+    That is the first one among the first ``TOP`` whose names ``is_header`` knows, else the first that is neither
+    blank, nor a comment, nor ``sep=;``, which states the delimiter.
+    """
+    lines, first, stated = head.split(b"\n"), -1, None
+    for number, raw in enumerate(lines):
+        line = raw.strip()
+        if not line:
+            continue
+        if stated is None and (match := re.fullmatch(rb"\"?sep=(.)\"?", raw.strip(b" \r"), re.IGNORECASE)):
+            stated = match[1].decode("latin-1")
+            continue
+        note = line.startswith(COMMENTS)
+        if header and is_header is not None and is_header(_cells(as_text(line), stated)[1]):
+            first = number
+            break
+        first = number if first < 0 and not note else first
+        if (not header or is_header is None) and first >= 0:
+            break
+        if number >= TOP:
+            break
+    first = max(first, 0)
+    delimiter, cells = _cells(as_text(lines[first]), stated)
+    if not header:
+        return _with_commas(head, Layout(tuple(str(i) for i in range(len(cells))), delimiter, first))
+    return _with_commas(head, Layout(tuple(cell.strip() for cell in cells), delimiter, first + 1))
+
+
+def _cells(line: str, delimiter: str | None) -> tuple[str, list[str]]:
+    """The delimiter of a line, if none is stated, and its cells."""
+    if delimiter is None or delimiter not in line:
+        delimiter = max(DELIMITERS, key=line.count)
     if line.count(delimiter) == 0:
         delimiter = " "
     try:
-        cells = line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter))
+        return delimiter, line.split() if delimiter == " " else next(csv.reader([line], delimiter=delimiter))
     except (csv.Error, StopIteration):
-        cells = line.split(delimiter)
-    if not header:
-        return Layout(tuple(str(i) for i in range(len(cells))), delimiter, 0)
-    return Layout(tuple(cell.strip() for cell in cells), delimiter, number + 1)
+        return delimiter, line.split(delimiter)
+
+
+def _with_commas(head: bytes, layout: Layout) -> Layout:
+    """The layout, with a decimal comma where columns of the first rows hold numbers with one."""
+    columns = sample(head, layout)
+    if layout.delimiter == " " or not any(columns):
+        return layout
+    comma = re.compile(r"[+-]?\d{1,15},\d{1,15}([eE][+-]?\d\d?)?")
+    known = ([value for value in column if value.strip()] for column in columns)
+    return replace(layout, comma=any(values and all(map(comma.fullmatch, values)) for values in known))
+
+
+def sample(head: bytes, layout: Layout) -> list[list[str]]:
+    """Texts of the first rows by column, as many of each; rows of another number of fields are left out."""
+    lines = head.split(b"\n")
+    if len(head) >= HEAD:
+        lines.pop()  # may be cut off
+    out: list[list[str]] = [[] for _ in layout.names]
+    for raw in lines[layout.header : layout.header + SAMPLED]:
+        line = as_text(raw)
+        if line and not line.startswith("#"):
+            cells = _cells(line, layout.delimiter)[1] if layout.delimiter != " " else line.split()
+            if len(cells) == len(out):
+                for column, cell in zip(out, cells, strict=True):
+                    column.append(cell.strip())
+    return out
 
 
 def read(
@@ -183,6 +241,7 @@ class _Parser:
                 column_types=types,
                 include_columns=list(types),
                 timestamp_parsers=times.parsers(self.time_format),
+                decimal_point="," if self.layout.comma else ".",
                 check_utf8=False,
             ),
         )
@@ -194,7 +253,7 @@ class _Parser:
         whole = _closed("," if self.layout.delimiter == " " else self.layout.delimiter)
         for number, line in enumerate(raw.split(b"\n"), first):
             line = line.rstrip(b"\r").replace(b"\r", b" ")
-            if not line.strip():
+            if not line.strip() or line.startswith(b"#"):
                 continue
             if not line.isascii():
                 line = decoded(line).encode()
@@ -229,8 +288,10 @@ class _Parser:
                 columns[name] = times.from_text(values, self.time_format)
             elif kind == "time":
                 columns[name] = times.from_arrow(values, self.time_format)
-            elif kind in ("float", "float32"):
-                numeric = to_numbers(values, TYPES[kind]) if lenient else values
+            elif kind in ("lon", "lat") and lenient:
+                columns[name] = coordinates.to_degrees(values, kind, self.layout.comma)
+            elif kind in ("float", "float32", "lon", "lat"):
+                numeric = to_numbers(values, TYPES[kind], self.layout.comma) if lenient else values
                 columns[name] = numeric.to_numpy(zero_copy_only=False)
             else:
                 columns[name] = values
@@ -238,7 +299,10 @@ class _Parser:
         if bad:
             text = raw.split(b"\n")
             wrong = [(int(numbers[i]), text[numbers[i] - first].strip()) for i in bad]
-            broken = [*broken, *((n, decoded(line)) for n, line in wrong if line)]  # a line of spaces is a blank line
+            broken = [
+                *broken,
+                *((n, decoded(line)) for n, line in wrong if line and not line.startswith(b"#")),
+            ]  # blanks, comments
             lines = np.delete(numbers, bad)
         return Block(columns, lines, sorted(broken), raw, first)
 
@@ -260,8 +324,3 @@ def _plain(raw: bytes) -> bool:
         except UnicodeDecodeError:
             return False
     return True
-
-
-def plain(name: str) -> str:
-    """A column name without case, spaces, underscores and the like."""
-    return re.sub(r"[^a-z0-9]", "", name.lower())

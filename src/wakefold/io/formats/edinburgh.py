@@ -12,7 +12,7 @@ import numpy as np
 
 from wakefold.io.records import Rows, as_text
 from wakefold.io.report import Tally
-from wakefold.io.source import Source
+from wakefold.io.source import LONGEST_TRAJECTORY, Source
 
 METRES_PER_PIXEL = 0.0247
 FRAMES_PER_SECOND = 9.0
@@ -23,8 +23,9 @@ POINT = re.compile(rf"\[\s*{NUMBER}[\s,]+{NUMBER}[\s,]+{NUMBER}\s*\]")
 
 def read(source: Source, tally: Tally) -> Iterator[Rows]:
     """One batch for each track, named by its number; a row is a point."""
-    for number, line in source.lines():
+    for number, line in source.lines(LONGEST_TRAJECTORY):
         text = as_text(line)
+        source.afford(3 * text.count(";"))
         match = TRACK.fullmatch(text)
         if match is None:
             if not text.startswith(("%", "Properties.")):

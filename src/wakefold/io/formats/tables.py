@@ -5,138 +5,122 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from wakefold.base.types import Floats
-from wakefold.io import times
+from wakefold.io import coordinates, times
+from wakefold.io.clock import MOST, Clock, Sample
+from wakefold.io.columns import FLOATS, GEOMETRIES, MOTION, POSITION, Columns, assigned, is_table, recognised
 from wakefold.io.formats import delimited, geoparquet
-from wakefold.io.formats.delimited import plain
-from wakefold.io.records import Rows, as_text, is_text, to_numbers
-from wakefold.io.report import ReadError, Tally, listed
+from wakefold.io.records import PAIRED, SAMPLED, Rows, as_text, is_text, is_text_type, plain, to_numbers
+from wakefold.io.report import ReadError, Tally
 from wakefold.io.source import Source
 
-OBVIOUS: dict[str, tuple[str, ...]] = {
-    "track": ("track", "trackid", "trajectoryid", "trajid"),
-    "agent": ("agent", "agentid", "mmsi", "id", "objectid", "pedid", "pedestrianid", "vesselid"),
-    "time": ("time", "t", "timestamp", "datetime", "basedatetime"),
-    "lon": ("lon", "longitude", "lng", "long"),
-    "lat": ("lat", "latitude"),
-    "x": ("x",),
-    "y": ("y",),
-    "z": ("z",),
-    "sog": ("sog",),
-    "cog": ("cog",),
-    "heading": ("heading",),
-    "name": ("name", "vesselname"),
-    "callsign": ("callsign",),
-    "type": ("type", "vesseltype", "shiptype"),
-    "destination": ("destination",),
-    "length": ("length",),
-    "width": ("width",),
-}
-"""What a column is, by its name as ``sniff.plain`` makes it; the first name that is there counts."""
-MOTION = ("sog", "cog", "heading")
-POSITION = ("lon", "lat", "x", "y", "z")
-FLOATS = (*POSITION, *MOTION, "length", "width")
+MOST_SAMPLED, LONGEST_SAMPLE = 1000, 200
+"""Columns of a sample, and characters of a text in it."""
 MOST_BYTES = 8 << 30
 """A packed Parquet file has to be unpacked whole."""
-
-Columns = Mapping[str, str | int]
-
-
-def recognised(names: Sequence[str]) -> dict[str, str]:
-    """Which column is what by its name alone."""
-    by_plain: dict[str, str] = {}
-    for name in names:
-        by_plain.setdefault(plain(name), name)
-    return {
-        ours: next(by_plain[their] for their in theirs if their in by_plain)
-        for ours, theirs in OBVIOUS.items()
-        if any(their in by_plain for their in theirs)
-    }
-
-
-def is_table(names: Sequence[str]) -> bool:
-    """Whether column names alone say who and where."""
-    there = recognised(names).keys()
-    return bool({"track", "agent"} & there) and ({"lon", "lat"} <= there or {"x", "y"} <= there)
-
-
-def assigned(source: Source, names: Sequence[str], columns: Columns | None, geometry: bool = False) -> dict[str, int]:
-    """Where each of our columns is among ``names``: as the caller says, and for the rest by name.
-
-    Args:
-        geometry: there is a geometry column, so that no other position is needed.
-
-    Raises:
-        ReadError: a column that is not there; no agent or no position.
-    """
-    found: dict[str, str | int] = dict(recognised(names))
-    if columns is not None:
-        for alternatives in (("track", "agent"), POSITION):
-            if any(name in columns for name in alternatives):
-                found = {name: where for name, where in found.items() if name not in alternatives}
-        found |= columns
-    if {"lon", "lat"} <= found.keys():
-        found = {name: where for name, where in found.items() if name not in ("x", "y", "z")}
-    places = {}
-    for ours, where in found.items():
-        if isinstance(where, str) and where in names:
-            places[ours] = list(names).index(where)
-        elif isinstance(where, int) and 0 <= where < len(names):
-            places[ours] = where
-        else:
-            raise ReadError(f"{source.name}: no column {where!r} (for {ours}); there are {listed(names)}")
-    missing = []
-    if not {"track", "agent"} & places.keys():
-        missing.append("agent")
-    if not geometry and not ({"lon", "lat"} <= places.keys() or {"x", "y"} <= places.keys()):
-        missing.append("lon and lat (or x and y)")
-    if missing:
-        raise ReadError(
-            f"{source.name}: which column is {listed(missing)}? There are {listed(names)}; "
-            "give columns={...} (--columns)"
-        )
-    return places
 
 
 def read_text(source: Source, tally: Tally, columns: Columns | None, time_format: str | None) -> Iterator[Rows]:
     """Batches of rows of a delimited text; without a header if columns are given by position."""
     header = not any(isinstance(where, int) for where in (columns or {}).values())
-    layout = delimited.layout(source.head, header)
-    places = assigned(source, layout.names, columns)
-    wanted: dict[str, tuple[int, delimited.Kind]] = {
-        name: (where, "time" if name == "time" else "float" if name in FLOATS else "text")
-        for name, where in places.items()
-    }
-    for block in delimited.read(source, layout, wanted, time_format):
+    layout = delimited.layout(source.head, header, partial(has_header, columns=columns))
+    sample = delimited.sample(source.head, layout)
+    shape = shape_of(source.name, layout.names, sample, columns)
+    found = assigned(source.name, layout.names, sample, columns, time_format, geometry=shape is not None)
+    tally.decided(found.notes, found.others)
+    wanted: dict[str, tuple[int, delimited.Kind]] = {name: (where, _kind(name)) for name, where in found.places.items()}
+    clock, form = found.time, None
+    if clock is not None:
+        parts = ("time",) if len(clock.columns) == 1 else ("day", "of day")
+        wanted |= {
+            name: (where, "time" if name == "time" else "text")
+            for name, where in zip(parts, clock.columns, strict=True)
+        }
+        form = clock.form
+    if shape is not None:
+        wanted["shape"] = shape, "text"
+    for block in delimited.read(source, layout, wanted, form):
         tally.rows += len(block.bad)
         tally.reject("bad line", len(block.bad), block.bad)
         if len(block.lines):
-            floats = {name: block.doubles(name) for name in places if wanted[name][1] != "text"}
-            texts = {name: pa.array(block.columns[name]) for name in places if wanted[name][1] == "text"}
-            yield _rows(floats, texts, block.lines, block.text)
+            texts = {name: pa.array(block.columns[name]) for name, (_, kind) in wanted.items() if kind == "text"}
+            floats = {name: block.doubles(name) for name in wanted.keys() - texts.keys()}
+            if clock is not None and "day" in texts:
+                floats["time"] = times.from_days(texts.pop("day"), texts.pop("of day"), form, clock.hhmm)
+            if shape is not None:
+                floats |= _placed(source.name, texts.pop("shape").to_pylist())
+            yield rows_of(floats, texts, block.lines, block.text)
+
+
+def has_header(names: Sequence[str], columns: Columns | None) -> bool:
+    """Whether the cells of a line are the header of a table: names that we know, or all those that the caller says."""
+    stated = [part for name in (columns or {}).values() if isinstance(name, str) for part in (name, *name.split("+"))]
+    there = {name.strip() for name in names}
+    if stated:
+        return bool(there.intersection(stated)) and len(there) > 1
+    return is_table(list(names))
+
+
+def _kind(name: str) -> delimited.Kind:
+    if name in ("lon", "lat"):
+        return name
+    return "float" if name in FLOATS else "text"
+
+
+def shape_of(source: str, names: Sequence[str], sample: Sample, columns: Columns | None) -> int | None:
+    """The column that holds points as text, if there is no other position.
+
+    Raises:
+        ReadError: it holds shapes that are no points.
+    """
+    there = recognised(names).keys() | set(columns or ())
+    if {"lon", "lat"} <= there or {"x", "y"} <= there or _position(columns):
+        return None
+    for i, name in enumerate(names):
+        known = [text for text in sample[i] if text]
+        if plain(name) in GEOMETRIES and known:
+            if sum(map(coordinates.is_point, known)) >= MOST * len(known):
+                return i
+            raise ReadError(f"{source}: {name} holds {known[0][:40]!r}, which is no point")
+    return None
+
+
+def _placed(source: str, texts: Sequence[object]) -> dict[str, Floats]:
+    """Longitude and latitude of points as text."""
+    x, y, srids = coordinates.to_points([as_text(text) for text in texts])
+    if other := srids - {*coordinates.DEGREES}:
+        raise ReadError(f"{source}: positions in EPSG:{min(other)}; only longitude and latitude (EPSG:4326) are read")
+    return {"lon": x, "lat": y}
 
 
 def read_parquet(source: Source, tally: Tally, columns: Columns | None, time_format: str | None) -> Iterator[Rows]:
     """Batches of rows of a Parquet or GeoParquet file; lines are row numbers from 1."""
     try:
-        file = pq.ParquetFile(source.path or io.BytesIO(source.whole(MOST_BYTES)))
+        packed = source.path or io.BytesIO(source.whole(MOST_BYTES))
+        schema = pq.read_schema(packed)
+        texts = [one.name for one in schema if is_text_type(one.type)]
+        file = pq.ParquetFile(packed, read_dictionary=texts)  # so that one long text is not repeated in every row
         names = file.schema_arrow.names
+        source.decoded(0)
         shape = geoparquet.geometry(file.schema_arrow) if not _position(columns) else None
-        places = assigned(source, names, columns, geometry=shape is not None)
-        if shape is not None:
-            places = {name: where for name, where in places.items() if name not in POSITION}
+        found = assigned(source.name, names, _sample(file), columns, time_format, geometry=shape is not None)
+        tally.decided(found.notes, found.others)
+        places = {name: names[where] for name, where in found.places.items() if not (shape and name in POSITION)}
+        clock = [names[where] for where in found.time.columns] if found.time else []
         first = 1
-        wanted = [names[where] for where in places.values()] + ([shape.column] if shape else [])
+        wanted = [*places.values(), *clock, *([shape.column] if shape else [])]
         for batch in file.iter_batches(columns=list(dict.fromkeys(wanted))):
-            yield _parquet_rows(
-                batch, {ours: names[where] for ours, where in places.items()}, shape, first, time_format
-            )
+            source.decoded(_size(batch))
+            time = None if found.time is None else _times(batch, clock, found.time, source.name)
+            yield _parquet_rows(batch, places, time, shape, first)
             first += len(batch)
     except ReadError:
         raise
@@ -144,17 +128,65 @@ def read_parquet(source: Source, tally: Tally, columns: Columns | None, time_for
         raise ReadError(f"{source.name}: the Parquet file cannot be read ({_line(error)})") from error
 
 
+def _size(batch: pa.RecordBatch) -> int:
+    """Bytes that a batch takes when each text stands in its row."""
+    size = 0
+    for column in batch.columns:
+        if pa.types.is_dictionary(column.type):
+            longest = pc.max(pc.binary_length(column.dictionary.cast(pa.large_binary()))).as_py() or 0
+            size += len(column) * (8 + longest)
+        else:
+            size += column.nbytes
+    return size
+
+
+def _sample(file: pq.ParquetFile) -> Sample:
+    """Texts of the first rows by column."""
+    names = file.schema_arrow.names
+    simple = [one.name for one in file.schema_arrow if not pa.types.is_nested(one.type) and names.count(one.name) == 1]
+    batch = next(file.iter_batches(batch_size=SAMPLED, columns=simple[:MOST_SAMPLED]), None)
+    if batch is None:
+        return [[] for _ in names]
+    known = {
+        name: [as_text(value)[:LONGEST_SAMPLE] for value in column.to_pylist()]
+        for name, column in zip(batch.schema.names, batch.columns, strict=True)
+    }
+    return [known.get(name, [""] * len(batch)) for name in names]
+
+
+def _decoded(values: pa.Array) -> pa.Array:
+    return values.dictionary_decode() if pa.types.is_dictionary(values.type) else values
+
+
+def _times(batch: pa.RecordBatch, names: Sequence[str], clock: Clock, source: str) -> Floats:
+    """``(n,)`` seconds of the column or the two columns of the time."""
+    columns = [_decoded(batch.column(name)) for name in names]
+    if len(columns) == 2:
+        days, clocks = (column.cast(pa.string()) for column in columns)
+        return times.from_days(days, clocks, clock.form, clock.hhmm)
+    (values,) = columns
+    if is_text(values):
+        return times.from_text(values, clock.form)
+    if clock.form is not None and pa.types.is_temporal(values.type):
+        raise ReadError(f"{source}: {names[0]} holds times of type {values.type}, which take no time_format")
+    if clock.form is not None and clock.form not in times.UNITS:
+        return times.from_text(values.cast(pa.int64(), safe=False).cast(pa.string()), clock.form)
+    return times.from_arrow(values, clock.form)
+
+
 def _parquet_rows(
-    batch: pa.RecordBatch, places: Mapping[str, str], shape: geoparquet.Geometry | None, first: int, form: str | None
+    batch: pa.RecordBatch,
+    places: Mapping[str, str],
+    time: Floats | None,
+    shape: geoparquet.Geometry | None,
+    first: int,
 ) -> Rows:
-    floats: dict[str, Floats] = {}
+    floats: dict[str, Floats] = {} if time is None else {"time": time}
     others: dict[str, pa.Array] = {}
     for ours, name in places.items():
-        values = batch.column(name)
-        if pa.types.is_dictionary(values.type):
-            values = values.dictionary_decode()
-        if ours == "time":
-            floats[ours] = times.from_text(values, form) if is_text(values) else times.from_arrow(values, form)
+        values = _decoded(batch.column(name))
+        if ours in ("lon", "lat") and is_text(values):
+            floats[ours] = coordinates.to_degrees(values, ours, comma=True)
         elif ours in FLOATS:
             values = to_numbers(values, pa.float64()) if is_text(values) else values.cast(pa.float64(), safe=False)
             floats[ours] = values.to_numpy(zero_copy_only=False)
@@ -165,16 +197,25 @@ def _parquet_rows(
         floats |= {"lon": x, "lat": y} if shape.geodetic else {"x": x, "y": y}
 
     def text(row: int) -> str:
-        return ", ".join(f"{name}={as_text(batch.column(name)[row].as_py())}" for name in places.values())
+        return ", ".join(f"{name}={as_text(batch.column(name)[row].as_py())}" for name in batch.schema.names)
 
-    return _rows(floats, others, np.arange(first, first + len(batch)), text)
+    return rows_of(floats, others, np.arange(first, first + len(batch)), text)
 
 
-def _rows(floats: Mapping[str, Floats], others: Mapping[str, pa.Array], lines: np.ndarray, text) -> Rows:
+def rows_of(
+    floats: Mapping[str, Floats], others: Mapping[str, pa.Array], lines: np.ndarray, text: Callable[[int], str]
+) -> Rows:
+    """A batch of the columns of a table, by our names."""
     geodetic = "lon" in floats
     attributes: dict[str, pa.Array | Floats] = {name: values for name, values in others.items() if name != "track"}
     attributes |= {name: floats[name] for name in ("length", "width") if name in floats}
-    key = others["track"] if "track" in others else attributes.pop("agent")
+    if "track" not in others:
+        key = attributes.pop("agent")
+    elif "agent" not in others:
+        key = others["track"]
+    else:  # a number of a track may be that of one of each agent
+        agent = _as_bytes(others["agent"]).fill_null(b"")
+        key = pc.binary_join_element_wise(agent, _as_bytes(others["track"]), PAIRED.encode())
     return Rows(
         agent=key,
         time=floats.get("time"),
@@ -185,6 +226,10 @@ def _rows(floats: Mapping[str, Floats], others: Mapping[str, pa.Array], lines: n
         columns={name: floats[name] for name in MOTION if name in floats},
         attributes=attributes,
     )
+
+
+def _as_bytes(values: pa.Array) -> pa.Array:
+    return (values if is_text(values) else values.cast(pa.string())).cast(pa.binary())
 
 
 def _position(columns: Columns | None) -> bool:

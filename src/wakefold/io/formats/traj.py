@@ -19,20 +19,21 @@ import pyarrow as pa
 from wakefold.io import times
 from wakefold.io.records import Rows, as_text
 from wakefold.io.report import Tally
-from wakefold.io.source import Source
+from wakefold.io.source import LONGEST_TRAJECTORY, Source
 
 DOMAINS = ("terrestrial", "cartesian2d", "cartesian3d", "generic")
 REAL = "1"
 """Tracktable's number for the type of a property that is a number (2 is text, 3 a time)."""
 
 
-def read(source: Source, tally: Tally) -> Iterator[Rows]:
+def read(source: Source, tally: Tally, time_format: str | None) -> Iterator[Rows]:
     """One batch for each line, named ``<object id>#<n>``, n counting the trajectories of the object from 1."""
     counts: Counter[str] = Counter()
-    for number, line in source.lines():
+    for number, line in source.lines(LONGEST_TRAJECTORY):
         text = as_text(line)
+        source.afford(text.count(","))
         try:
-            rows, missing = _trajectory(number, text)
+            rows, missing = _trajectory(number, text, time_format)
         except (ValueError, IndexError, csv.Error):
             rows, missing = None, True
         if missing:
@@ -44,7 +45,7 @@ def read(source: Source, tally: Tally) -> Iterator[Rows]:
             yield rows
 
 
-def _trajectory(number: int, text: str) -> tuple[Rows | None, bool]:
+def _trajectory(number: int, text: str, time_format: str | None) -> tuple[Rows | None, bool]:
     """The points of a line, under the object's id, and whether the line ends before its last point.
 
     Raises:
@@ -83,7 +84,7 @@ def _trajectory(number: int, text: str) -> tuple[Rows | None, bool]:
     }
     rows = Rows(
         agent=name,
-        time=times.from_text(pa.array(column(has_id), pa.string()), None),
+        time=times.from_text(pa.array(column(has_id), pa.string()), time_format),
         position=[np.array([times.number(cell) for cell in column(has_id + 1 + i)]) for i in range(dim)],
         geodetic=domain in ("terrestrial", "generic") and dim == 2,
         lines=np.full(count, number),
