@@ -36,7 +36,7 @@ LONGEST = 400  # lines of a file
 PUBLIC = {  # what stands here once stays
     "Activity", "BL1", "BL2", "Belief", "Calibrated", "CoarseClass", "Confusion", "ConstantVelocity", "Detections",
     "Deviation", "Filtration", "Fix", "GaussianHMM", "MHPF", "Model", "PairEvidence", "Relation", "RelationalFilter",
-    "RelationalModel", "Sampler", "Scene", "Scores", "Tracks", "frechet", "frechet_matrix", "learn", "load",
+    "RelationalModel", "Sampler", "Scene", "Scores", "Tracks", "Trail", "frechet", "frechet_matrix", "learn", "load",
     "read_tracks", "score", "write_tracks",
 }
 # fmt: on

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from room import WAKEFOLD, fixes, run
 
-TRACK = [*WAKEFOLD, "track", "harbour.model", "-", "--particles", "20"]
+TRACK = [*WAKEFOLD, "track", "harbour.model", "-"]
 BAD = "agent,time,lon,lat\n" + "".join(f"a,never,1,{k}\n" for k in range(30)) + "a,2020-12-08T06:00:00Z,-74.02,40.61\n"
 
 

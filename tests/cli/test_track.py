@@ -16,14 +16,14 @@ from room import WAKEFOLD, fixes, harbour, run
 import wakefold as wf
 from wakefold.cli import followers
 from wakefold.service import album as pictures
-from wakefold.service import feed, fleet
+from wakefold.service import agents, feed, fleet
 from wakefold.service.answers import csv_line
 from wakefold.service.feed import Observation, Refused
 from wakefold.service.remarks import Remarks
 
 
 def test_track_answers_every_observation_of_every_agent(room: Path) -> None:
-    code, out, err = run("track harbour.model fixes.csv --levels 300,1000 --forecast 5min --particles 50")
+    code, out, err = run("track harbour.model fixes.csv --levels 300,1000 --forecast 5min")
     rows = list(csv.DictReader(io.StringIO(out)))
     assert code == 0
     assert "17 observations of 2 agents" in err
@@ -38,8 +38,8 @@ def test_track_answers_every_observation_of_every_agent(room: Path) -> None:
 def test_json_lines_in_json_lines_out_with_the_same_beliefs(room: Path) -> None:
     given = list(csv.DictReader(io.StringIO(fixes())))
     lines = "".join(json.dumps({k: v for k, v in row.items() if v}) + "\n" for row in given)
-    _, out, _ = run("track harbour.model - --particles 50", lines)
-    _, table, _ = run("track harbour.model fixes.csv --particles 50")
+    _, out, _ = run("track harbour.model -", lines)
+    _, table, _ = run("track harbour.model fixes.csv")
     answers = [json.loads(line) for line in out.splitlines()]
     for answer, row in zip(answers, csv.DictReader(io.StringIO(table)), strict=True):
         assert answer["estimate"]["lon"] == float(row["lon"])
@@ -52,9 +52,10 @@ def test_an_agent_s_answers_do_not_depend_on_the_others(room: Path) -> None:
     assert [line for line in together.splitlines() if line.startswith("tug")] == alone.splitlines()[1:]
 
 
-@pytest.mark.parametrize("name", ["bl1", "bl1+coarse", "bl2", "calibrated", "mhpf --rule gsi2017 --likelihood student"])
+@pytest.mark.parametrize("name", ["bl1", "bl1+coarse", "bl2", "calibrated", "trail", "mhpf --rule gsi2017 --likelihood student"])
 def test_every_filter_follows(name: str, room: Path) -> None:
-    code, out, err = run(f"track harbour.model fixes.csv --particles 50 --filter {name}")
+    few = "" if name == "trail" else "--particles 50"
+    code, out, err = run(f"track harbour.model fixes.csv {few} --filter {name}")
     assert code == 0, err
     assert len(out.splitlines()) == 18
     assert ("class@" in out) == (name != "bl2")
@@ -63,7 +64,7 @@ def test_every_filter_follows(name: str, room: Path) -> None:
 def test_options_that_a_filter_does_not_read_are_refused(room: Path) -> None:
     for name, option, readers in (
         ("bl1", "--rule gsi2017", "mhpf do"),
-        ("bl2", "--levels 2", "mhpf, bl1, bl1+coarse, calibrated do"),
+        ("bl2", "--levels 2", "trail, mhpf, bl1, bl1+coarse, calibrated do"),
         ("bl2", "--depletion 0.01", "mhpf, bl1, bl1+coarse do"),
         ("calibrated", "--rule arxiv2016", "mhpf do"),
         ("calibrated", "--likelihood gaussian", "mhpf, bl1, bl1+coarse, bl2 do"),  # its default, but given
@@ -95,18 +96,18 @@ def test_the_calibrated_filter_answers_as_in_the_library(room: Path) -> None:
 
 
 def test_a_share_that_draws_no_class_anew_is_pointed_out_once(room: Path) -> None:
-    _, plain, err = run("track harbour.model fixes.csv")
+    _, plain, err = run("track harbour.model fixes.csv --filter mhpf")
     assert "--depletion" not in err
-    _, given, err = run("track harbour.model fixes.csv --depletion 0.001")
+    _, given, err = run("track harbour.model fixes.csv --filter mhpf --depletion 0.001")
     assert given == plain  # it is the default
     assert err.count("--depletion 0.001 of 200 particles is none") == err.count("--depletion") == 1
     for more in ("--depletion 0", "--depletion 0.0026", "--depletion 0.001 --particles 600"):
-        assert "--depletion" not in run(f"track harbour.model fixes.csv {more}")[2]
+        assert "--depletion" not in run(f"track harbour.model fixes.csv --filter mhpf {more}")[2]
 
 
 def test_a_file_of_tracks_serves_as_observations(room: Path) -> None:
     wf.write_tracks(wf.read_tracks("harbour.csv")[0].select([0, 1]), "some.geojson")
-    code, out, err = run("track harbour.model some.geojson --particles 50")
+    code, out, err = run("track harbour.model some.geojson")
     rows = list(csv.DictReader(io.StringIO(out)))
     assert code == 0
     assert "GeoJSON" in err
@@ -116,7 +117,7 @@ def test_a_file_of_tracks_serves_as_observations(room: Path) -> None:
 
 def test_bad_lines_are_told_and_cost_the_exit_code_not_the_rest(room: Path) -> None:
     bad = "agent,time,lon,lat\na,2020-12-08T06:00:00Z,-74,40.6\na,then,-74,40.6\na,2020-12-08T05:00:00Z,-74,40.6\n"
-    code, out, err = run("track harbour.model -", bad + "a,2020-12-08T06:01:00Z,-73.999,40.6\n")
+    code, out, err = run("track harbour.model - --filter mhpf", bad + "a,2020-12-08T06:01:00Z,-73.999,40.6\n")
     assert code == 1
     assert len(out.splitlines()) == 3
     assert "line 3 refused: time: 'then'" in err
@@ -127,7 +128,7 @@ def test_bad_lines_are_told_and_cost_the_exit_code_not_the_rest(room: Path) -> N
 def test_one_wrong_time_does_not_silence_an_agent(room: Path) -> None:
     def follow(*times: str) -> tuple[list[str], str]:
         given = "agent,time,lon,lat\n" + "".join(f"a,{time},-74,40.6\n" for time in times)
-        _, out, err = run("track harbour.model - --particles 5", given)
+        _, out, err = run("track harbour.model - --filter mhpf --particles 5", given)
         return [row["event"] for row in csv.DictReader(io.StringIO(out))], err
 
     right = [f"2020-12-08T06:0{i}:00Z" for i in range(6)]
@@ -157,7 +158,7 @@ def test_agents_are_bounded_and_a_long_silence_starts_anew(room: Path) -> None:
 
 
 def test_what_is_kept_of_agents_met_is_bounded(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fleet, "REMEMBERED", 3)
+    monkeypatch.setattr(agents, "REMEMBERED", 3)
     crowd = fleet.Fleet(wf.BL2(wf.load("harbour.model"), 5), [], [], 2, 1e9, Remarks(lambda line: None))
     for i in range(50):
         names = f"agent {i}", f"agent {i - i % 2}"  # some come back
@@ -211,11 +212,11 @@ def test_an_album_keeps_a_handful_of_moments_however_long_the_feed(room: Path) -
 def test_the_name_of_the_answers_says_their_form(room: Path) -> None:
     line = "agent,time,lon,lat\na,2020-12-08T06:00:00Z,-74,40.6\n"
     for name, options, is_json in (("a.jsonl", "", True), ("a.ndjson", "", True), ("a.jsonl", "--format csv", False)):
-        assert run(f"track harbour.model - --particles 5 -o {name} {options}", line)[0] == 0
+        assert run(f"track harbour.model - -o {name} {options}", line)[0] == 0
         assert Path(name).read_text().startswith("{") == is_json
     given = '{"agent": "a", "time": 1, "lon": -74, "lat": 40.6}\n'
     for name, is_json in (("b.csv", False), ("b.txt", True)):
-        assert run(f"track harbour.model - --particles 5 -o {name}", given)[0] == 0
+        assert run(f"track harbour.model - -o {name}", given)[0] == 0
         assert Path(name).read_text().startswith("{") == is_json
 
 
@@ -233,21 +234,21 @@ def test_milliseconds_are_pointed_out_and_read(room: Path) -> None:
     assert "2020-12-08 06:00:00" in run("info ms.csv --time-format ms")[1]
     assert "18 kept" in run("learn ms.csv --time-format ms -o ms.model")[1]
     assert "18 kept" in run("relations ms.csv --time-format ms")[1]
-    assert "18 observations of 2 agents" in run("track harbour.model ms.csv --time-format ms --particles 5")[2]
-    code, _, err = run("track harbour.model fixes.csv --time-format ms --particles 5")
+    assert "18 observations of 2 agents" in run("track harbour.model ms.csv --time-format ms")[2]
+    code, _, err = run("track harbour.model fixes.csv --time-format ms")
     assert code == 1
     assert "is not like ms" in err
-    assert "see --time-format" in run("track harbour.model ms.csv --particles 5")[2]
+    assert "see --time-format" in run("track harbour.model ms.csv")[2]
 
 
 def test_heights_need_a_unit_or_a_comma(room: Path) -> None:
     assert "heights are written 500m or 500,2000" in run("track harbour.model fixes.csv --levels 500")[2]
     for levels in ("500m", "500,2000"):
-        assert "class@500," in run(f"track harbour.model fixes.csv --levels {levels} --particles 5")[1]
+        assert "class@500," in run(f"track harbour.model fixes.csv --levels {levels}")[1]
 
 
 def test_equal_horizons_are_forecast_once(room: Path) -> None:
-    header = run("track harbour.model fixes.csv --forecast 5min,300s --particles 5")[1].splitlines()[0]
+    header = run("track harbour.model fixes.csv --forecast 5min,300s")[1].splitlines()[0]
     assert header.count("lon+300s") == 1
 
 
@@ -257,7 +258,7 @@ def test_a_fix_far_from_every_track_is_off_the_map(room: Path) -> None:
     for minute, where in enumerate(("near", "far", "near", "far")):
         given += "a,2020-12-08T06:{:02d}:00Z,{},{},30\n".format(minute, *place[where])
     given += "b,2020-12-08T06:00:00Z,-73.99,40.9,30\n"
-    _, out, _ = run("track harbour.model -", given)
+    _, out, _ = run("track harbour.model - --filter mhpf", given)
     events = [row["event"] for row in csv.DictReader(io.StringIO(out))]
     assert events == ["start", "off-map", "recovery", "off-map", "off-map"]
 
@@ -287,7 +288,7 @@ def test_plane_coordinates_for_a_geodetic_model_are_pointed_out_once(room: Path)
 
 @pytest.fixture
 def stream(room: Path) -> Iterator[subprocess.Popen[bytes]]:
-    command = [*WAKEFOLD, "track", "harbour.model", "-", "--particles", "20"]
+    command = [*WAKEFOLD, "track", "harbour.model", "-"]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     yield process
     process.kill()
