@@ -39,3 +39,24 @@ def on_a_grid(rng, count, dim):
 
 def same_place(rng, count, dim):
     return [np.full((n, dim), 7.25) for n in rng.integers(1, 4, count)]
+
+
+def routes(seed, count, noise=3.0, points=30):
+    """Noisy tracks of three routes, which part half-way, one of them from the start; a point a second."""
+    rng = np.random.default_rng(seed)
+    s = np.linspace(0.0, 1.0, points)[:, None]
+    ways = [
+        np.concatenate([300.0 * s, bend * np.maximum(s - 0.5, 0.0) * 400.0 + side], axis=1)
+        for bend, side in ((1.0, 0.0), (-1.0, 0.0), (0.0, 200.0))
+    ]
+    out, chosen = [], rng.integers(0, 3, count)
+    for k in chosen:
+        off = rng.normal(0.0, noise, (1, 2)) + np.cumsum(rng.normal(0.0, 0.2 * noise, (points, 2)), axis=0)
+        out.append(ways[k] + off)
+    return Tracks.from_arrays(out), chosen
+
+
+def straight(*ways, seconds=20):
+    """Straight tracks, of (begin, velocity) each, a point a second."""
+    at = np.arange(seconds + 1.0)[:, None]
+    return Tracks.from_arrays([np.asarray(begin, float) + at * np.asarray(velocity, float) for begin, velocity in ways])

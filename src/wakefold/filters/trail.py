@@ -19,7 +19,8 @@ from wakefold.evidence.fix import Fix
 from wakefold.filters.belief import Belief, Estimate
 from wakefold.filters.kernels import trail as kernel
 from wakefold.filters.kernels.fleet import effective
-from wakefold.filters.kernels.trail import REPORTS, SLOTS, Trails
+from wakefold.filters.kernels.trail import Trails
+from wakefold.filters.trails import LEAST_ODDS, columns, copied, unpacked
 from wakefold.model.memory import Memory
 
 if TYPE_CHECKING:
@@ -28,19 +29,7 @@ if TYPE_CHECKING:
 
 SAMPLES = 100
 FASTER = 3.0  # times the fastest past state is more than an agent can go
-LEAST_ODDS = 1e-3  # that a report leaves to what it speaks against: none is so sure that fixes cannot say otherwise
 _ONE = np.zeros(1, dtype=np.int64)
-
-
-def columns(agents: int, dim: int) -> Trails:
-    """Trails of so many agents of whom nothing is known yet."""
-    d = max(dim, 2)
-    return Trails(
-        np.zeros((agents, SLOTS)), np.zeros((agents, SLOTS, d)), np.zeros(agents, dtype=np.int64),
-        np.zeros(agents), np.ones(agents), np.zeros((agents, REPORTS, 2), dtype=np.int64),
-        np.ones((agents, REPORTS)), np.zeros(agents, dtype=np.int64), np.zeros((agents, 2), dtype=np.uint64),
-        np.zeros(agents, dtype=np.int64),
-    )  # fmt: skip
 
 
 class TrailBelief(Belief):
@@ -70,6 +59,8 @@ class TrailBelief(Belief):
         recoveries: int = 0,
         samples: int = SAMPLES,
     ) -> None:
+        if memory is not None and memory.points.shape[1] != trails.points.shape[2]:
+            raise ValueError(f"the belief has {trails.points.shape[2]} coordinates, the memory {memory.dim}")
         own = vars(self)
         own |= {"tree": tree, "trails": trails, "memory": memory, "time": time, "ahead": ahead}
         own |= {"recoveries": recoveries, "samples": samples, "ignored": 0}
@@ -164,8 +155,15 @@ class TrailBelief(Belief):
         return cov + np.eye(len(cov)) * float(self.trails.sd[0]) ** 2 if self.trails.fixes[0] else cov
 
     def forecast(self, horizon: float) -> TrailBelief:
-        """The belief about so many seconds from now, as ``Trail.forecast`` gives it."""
-        return self._of(self.trails, ahead=horizon, time=None if self.time is None else self.time + horizon)
+        """The belief about so many seconds from now, as ``Trail.forecast`` gives it.
+
+        Raises:
+            ValueError: seconds that are negative or not finite.
+        """
+        if not 0.0 <= horizon < math.inf:
+            raise ValueError(f"horizon must be a finite number of seconds >= 0, got {horizon}")
+        then = None if self.time is None else self.time + horizon
+        return self._of(self.trails, ahead=self.ahead + horizon, time=then)
 
     def _of(self, trails: Trails, **changed: Any) -> TrailBelief:
         kept = {name: getattr(self, name) for name in ("time", "ahead", "recoveries", "samples")}
@@ -178,9 +176,7 @@ class TrailBelief(Belief):
         """
         from wakefold.model.growth import carried
 
-        if model.tracks.dim != self.memory.dim if self.memory else False:
-            raise ValueError(f"the belief is {self._past_dim}-D, the model {model.tracks.dim}-D")
-        own, told = _copied(self.trails), 0
+        own, told = copied(self.trails), 0
         for r in range(int(own.told[0]) if model.filtration is not self.tree else 0):
             lo, hi = own.reports[0, r].tolist()
             old = int(np.flatnonzero((self.tree.lo == lo) & (self.tree.hi == hi))[0])
@@ -210,19 +206,12 @@ class TrailBelief(Belief):
         Raises:
             KeyError, TypeError, ValueError: something is missing or unsound.
         """
-        empty = columns(1, arrays["points"].shape[2])
-        trails = Trails._make(np.array(arrays[name]) for name in Trails._fields)
-        for name, blank, own in zip(Trails._fields, empty, trails, strict=True):
-            if own.shape != blank.shape or own.dtype != blank.dtype:
-                raise ValueError(f"its {name} are {own.dtype} {own.shape}")
-        n, told = int(trails.fixes[0]), int(trails.told[0])
-        sound = 0 <= n <= SLOTS and 0 <= told <= REPORTS and (np.diff(trails.times[0, :n]) > 0).all()
-        if not sound or not all(np.isfinite(own).all() for own in trails if own.dtype == np.float64):
-            raise ValueError("its trail is none")
+        trails = unpacked(arrays, tree)
         ahead, samples = arrays["settings"].tolist()
-        return cls(
-            tree, trails, None, time=meta["time"], ahead=ahead, recoveries=int(meta["recoveries"]), samples=int(samples)
-        )
+        if not (0.0 <= ahead < math.inf and 2 <= samples < 2**31):
+            raise ValueError("its settings are out of range")
+        time = None if meta["time"] is None else float(meta["time"])
+        return cls(tree, trails, None, time=time, ahead=ahead, recoveries=int(meta["recoveries"]), samples=int(samples))
 
     def __repr__(self) -> str:
         if self.memory is None or not self.trails.fixes[0]:
@@ -311,8 +300,9 @@ class Trail:
         """
         own = self._own(belief)
         items = in_order(evidence, self.model.filtration)
-        at, now = self._moment(own, dt, time)
-        trails = _copied(own.trails)
+        trails = copied(own.trails)
+        trails.clock[0] += own.ahead
+        at, now = self._moment(own, trails, dt, time)
         trails.step[0] += 1
         trails.clock[0] = max(float(trails.clock[0]), at)
         lost = False
@@ -325,20 +315,22 @@ class Trail:
                     kernel.report(trails, 0, *interval, odds)
         return own._of(trails, time=now, ahead=0.0, recoveries=own.recoveries + lost, memory=self.memory)
 
-    def _moment(self, belief: TrailBelief, dt: float | None, time: Time | None) -> tuple[float, float | None]:
+    def _moment(
+        self, belief: TrailBelief, trails: Trails, dt: float | None, time: Time | None
+    ) -> tuple[float, float | None]:
         """The time of evidence by the clock of the trail, and that of the belief after it."""
         if (dt is None) == (time is None):
             raise ValueError("step takes either dt or time")
-        clock = float(belief.trails.clock[0])
+        clock = float(trails.clock[0])
         if dt is not None:
-            if not 0.0 <= dt < math.inf:
+            if not (0.0 <= dt < math.inf and clock + dt < math.inf):
                 raise ValueError(f"dt must be a finite number of seconds >= 0, got {dt}")
             return clock + float(dt), None if belief.time is None else clock + float(dt)
         at = timestamp(time)  # pyright: ignore[reportArgumentType]
         if belief.time is None:  # it was never told a time: the trail so far moves there
             shift = at - clock
-            belief.trails.times[0] += shift
-            belief.trails.clock[0] += shift
+            trails.times[0] += shift
+            trails.clock[0] += shift
             return at, at
         if at < clock - self.window:
             raise ValueError(
@@ -359,7 +351,7 @@ class Trail:
         if others == 0:
             return (0, len(tree)), 1.0
         odds = (1.0 - item.confidence) / (others * item.confidence)
-        return (int(tree.lo[item.class_]), int(tree.hi[item.class_])), max(odds, LEAST_ODDS)
+        return (int(tree.lo[item.class_]), int(tree.hi[item.class_])), min(max(odds, LEAST_ODDS), 1.0 / LEAST_ODDS)
 
     @overload
     def forecast(self, belief: Belief, horizon: float) -> TrailBelief: ...
@@ -399,7 +391,3 @@ class Trail:
         if belief.tree is not self.model.filtration and not belief.tree.same_as(self.model.filtration):
             raise ValueError("the belief is about the classes of another filtration: take it on by belief.on(model)")
         return belief if belief.memory is self.memory else belief._of(belief.trails, memory=self.memory)
-
-
-def _copied(trails: Trails) -> Trails:
-    return Trails._make(column.copy() for column in trails)

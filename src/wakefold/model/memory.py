@@ -102,7 +102,7 @@ class Memory(Remembers):
         seen = Seen.of(tracks, step, unit, lags)
         base = base_lag(seen, lags, ahead, unit)
         going = going_of(seen.raw, seen.d, lags, base)
-        slow = 0.2 * float(np.median(np.hypot(*going.T))) or 1.0
+        slow = 0.2 * float(np.median(np.sqrt(np.square(going).sum(axis=1)))) or 1.0
         block = blocks_of(tracks.times[tracks.offsets[:-1]])[seen.track]
         x = features_of(seen.d, seen.raw, lags, base, slow, daily)
         y = targets_of(seen, lags, base, ahead)
@@ -138,11 +138,16 @@ class Memory(Remembers):
         track = np.repeat(np.arange(len(self.begins) - 1), np.diff(self.begins)).astype(np.int32)
         left = self.begins[track + 1] - 1 - np.arange(len(track))
         longest = np.argsort(-left, kind="stable").astype(np.int32)
-        return recall.Past(
+        every = recall.Past(
             self.points, self.going, track, self.begins, self.rank, longest, left[longest], self.step,
             self.lags, self.base, self.slow, self.daily, self.ways, self.own,
-            self.unit * np.array(HORIZONS), self.unusual, self.shares, self.masses, self.doubts,
+            self.unit * np.array(HORIZONS), self.unusual, self.shares, self.masses, self.doubts, self.dim,
         )  # fmt: skip
+        fixed = [_fixed(part) if isinstance(part, np.ndarray) else part for part in every]
+        past = recall.Past._make(fixed)
+        return past._replace(
+            ways=recall.Trees._make(map(_fixed, self.ways)), own=recall.Trees._make(map(_fixed, self.own))
+        )
 
     @property
     def limit(self) -> float:
@@ -155,10 +160,7 @@ class Memory(Remembers):
 
     def packed(self) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
         """Arrays and JSON metadata that ``unpacked`` takes back."""
-        arrays = {
-            name: getattr(self, name)
-            for name in ("points", "begins", "going", "lags", "shares", "masses", "unusual", "doubts")
-        }
+        arrays = {name: getattr(self, name) for name in ARRAYS}
         for name, trees in (("ways", self.ways), ("own", self.own)):
             arrays |= {f"{name}_{key}": getattr(trees, key) for key in ("nodes", "rows", "first_node", "first_row")}
         return arrays, {name: getattr(self, name) for name in ("step", "unit", "base", "slow", "daily", "dim")}
@@ -171,10 +173,7 @@ class Memory(Remembers):
             ValueError: arrays that do not fit together.
             KeyError, TypeError: something is missing or of another kind.
         """
-        own = {
-            name: arrays[name]
-            for name in ("points", "begins", "going", "lags", "shares", "masses", "unusual", "doubts")
-        }
+        own = {name: arrays[name] for name in ARRAYS}
         numbers: dict[str, Any] = {name: float(meta[name]) for name in ("step", "unit", "slow")}
         made = cls(
             **own, **numbers, base=int(meta["base"]), daily=bool(meta["daily"]), dim=int(meta["dim"]),
@@ -194,23 +193,40 @@ class Memory(Remembers):
             "begins": (tracks + 1,), "going": (s, 2), "lags": self.lags.shape[:1], "masses": (recall.MAP + 1,),
             "shares": (len(self.unusual), len(HORIZONS), recall.MEMBERS), "doubts": (len(self.unusual),),
         }  # fmt: skip
-        kinds = {
-            "points": np.float64,
-            "begins": np.int64,
-            "going": np.float32,
-            "lags": np.float64,
-            "shares": np.float64,
-        }
+        kinds = {"begins": np.int64, "going": np.float32}
         sound = all(getattr(self, name).shape == shape for name, shape in shapes.items())
-        sound = sound and all(getattr(self, name).dtype == kind for name, kind in kinds.items())
+        sound = sound and all(getattr(self, name).dtype == kinds.get(name, np.float64) for name in ARRAYS)
         sound = sound and all(np.isfinite(getattr(self, name)).all() for name in ARRAYS)
-        sound = sound and d == max(self.dim, 2) and 0 <= self.base < len(self.lags) - 1 and len(self.unusual) > 0
-        sound = sound and self.begins[0] == 0 and self.begins[-1] == s and min(self.step, self.unit, self.slow) > 0
+        sound = (
+            sound
+            and d == max(self.dim, 2)
+            and self.dim > 0
+            and 0 <= self.base < len(self.lags) - 1
+            and len(self.unusual) > 0
+        )
+        sound = (
+            sound
+            and self.begins[0] == 0
+            and self.begins[-1] == s
+            and all(0.0 < x < np.inf for x in (self.step, self.unit, self.slow))
+        )
+        sound = (
+            sound and min(self.shares.min(), self.masses.min()) >= 0 and 0 < self.doubts.min() <= self.doubts.max() < 1
+        )
+        sums = np.append(self.shares.sum(axis=-1), self.masses.sum())
+        sound = sound and bool((abs(sums - 1.0) < 1e-6).all()) and self.masses[-1] > 0 and self.lags[0] > 0
         rising = np.diff(self.begins), np.diff(self.lags), np.diff(self.unusual)
         if not (sound and all((gaps > 0).all() for gaps in rising)):
             raise ValueError("its memory is not a number for each of its states")
         for trees in (self.ways, self.own):
             _check_trees(trees, s, feature_count(d, len(self.lags)))
+
+
+def _fixed(array: NDArray[Any]) -> NDArray[Any]:
+    """The array, read-only, as one that was loaded is: kernels are compiled for one kind alone."""
+    view = np.ascontiguousarray(array).view()
+    view.flags.writeable = False
+    return view
 
 
 def _trees_of(arrays: Mapping[str, NDArray[Any]], name: str) -> recall.Trees:

@@ -183,6 +183,8 @@ def load(directory: str | os.PathLike[str]) -> Model:
         filtration = Filtration.unpacked(part("filtration"), meta["filtration"])
         dynamics = Dynamics.unpacked(part("dynamics"), meta["dynamics"], tracks, filtration)
         memory = [Memory.unpacked(part("memory"), meta["memory"], filtration)] if "memory" in meta else []
+        if memory and memory[0].dim != tracks.dim:
+            raise ValueError(f"its memory is {memory[0].dim}-D, its tracks {tracks.dim}-D")
         shaping = meta.get("shaping", {})  # older models have none, and no memory
         return Model(tracks, filtration, dynamics, meta["sd"], shaping, memory)
     except (KeyError, TypeError, ValueError, OverflowError, AttributeError, IndexError) as error:

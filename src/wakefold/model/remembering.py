@@ -30,6 +30,7 @@ TREES = 32, 24  # of the map and of the own frame, for ``FEW`` states; of fewer 
 MORE = 4  # times as many
 LEAVES = 2, 4
 BLOCKS = 10  # of tracks one after the other, where there are not so many days
+LEAST_BLOCKS = 3  # of fewer, every tree sees all, and nothing is held out
 DAY = 86400.0
 TRIED = slice(2, 4)  # horizons that velocities are tried to
 ALIKE = 1.02  # of two velocities that go on about as well, the one over the longer lag has less noise
@@ -195,7 +196,7 @@ def forests_of(
 def _sight(trees: int, blocks: int, which: int) -> Bools:
     """Blocks (T, B) that trees see: each leaves out as many, and every block is left out about as often."""
     sees = np.ones((trees, blocks), dtype=bool)
-    if blocks == 1:
+    if blocks < LEAST_BLOCKS:
         return sees
     out = max(1, round(LEFT_OUT * blocks))
     rng = np.random.default_rng([7, which])
@@ -215,7 +216,7 @@ def _joined(grown: list[tuple[NDArray[np.int32], NDArray[np.int32]]]) -> recall.
 def _tree(trees: recall.Trees, tree: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Rows and nodes of one tree."""
     rows = trees.rows[trees.first_row[tree] : trees.first_row[tree + 1]]
-    return rows, np.ascontiguousarray(trees.nodes[trees.first_node[tree] : trees.first_node[tree + 1]])
+    return rows, trees.nodes[trees.first_node[tree] : trees.first_node[tree + 1]].copy()
 
 
 def weighed(
@@ -226,7 +227,7 @@ def weighed(
     None where these are too few to tell.
     """
     raw, moves, alive = seen.raw, seen.moves, seen.alive
-    if block.max() < 2:
+    if block.max() + 1 < LEAST_BLOCKS:
         return None
     rng = np.random.default_rng(3)
     d = seen.d

@@ -14,7 +14,8 @@ from wakefold.evidence.evidence import in_order
 from wakefold.evidence.fix import Fix, on_plane
 from wakefold.filters.kernels import fleet as kernel
 from wakefold.filters.kernels.trail import Trails
-from wakefold.filters.trail import Trail, TrailBelief, columns
+from wakefold.filters.trail import Trail, TrailBelief
+from wakefold.filters.trails import columns
 from wakefold.service.agents import Agents, Answered
 from wakefold.service.answers import Answer, Best, Place
 from wakefold.service.feed import Observation, Refused

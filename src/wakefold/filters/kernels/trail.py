@@ -21,7 +21,7 @@ from wakefold.model.kernels.recall import (
     track_masses,
     ways_down,
 )
-from wakefold.model.kernels.states import features, state
+from wakefold.model.kernels.states import features, state, steps
 
 LOST = 6.0  # sd that a fix may be off
 DRAWS = 40  # positions that a fix is looked for among
@@ -95,7 +95,8 @@ def put_one(trails, r, at, position, sd, fastest):
     So it does if it takes more than ``fastest`` m/s to get to, beyond its error.
     """
     n, far = trails.fixes[r], False
-    if n and at >= trails.times[r, n - 1]:
+    newest = n == 0 or at >= trails.times[r, n - 1]
+    if n and newest:
         away = 0.0
         for k in range(len(position)):
             away += (position[k] - trails.points[r, n - 1, k]) ** 2
@@ -103,7 +104,8 @@ def put_one(trails, r, at, position, sd, fastest):
         if far:
             n = 0
     trails.fixes[r] = _put(trails.times[r], trails.points[r], n, at, position)
-    trails.sd[r] = sd
+    if newest:
+        trails.sd[r] = sd
     return far
 
 
@@ -210,7 +212,7 @@ def ahead(trails, rows, past, seconds, out, taken):
                 for s in range(samples):
                     row = taken[i, h, s]
                     last = past.begins[past.track[row] + 1] - 1
-                    there = min(row + int(later / past.step + 0.5), last)
+                    there = min(row + int(steps(later, past.step) + 0.5), last)
                     for k in range(d):
                         out[i, h, s, k] = past.points[there, k]
 
@@ -287,8 +289,8 @@ def _gained(trails, r, before, after, past, room, dice):
     strange = _look(trails.times[r], trails.points[r], before + 1, past, room)
     seconds, floor = trails.times[r, after] - trails.times[r, before], trails.sd[r]
     return foretold(
-        room.raw, past, len(room.use_map), room.ranges, room.depths, strange, seconds, trails.points[r, after],
-        floor, dice, DRAWS,
+        room.raw, past, len(room.use_map), room.ranges, room.depths, strange, seconds,
+        trails.points[r, after, : past.dim], floor, dice, DRAWS,
     )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from wakefold.base.compile import inner
 from wakefold.base.types import Floats, Ints, Singles
 from wakefold.model.kernels.forest import descend, uniform
-from wakefold.model.kernels.states import heading
+from wakefold.model.kernels.states import heading, steps
 
 MAP, OWN, MEMBERS = 3, 3, 7
 NEEDS = (1, 4, 16, 4, 16, 64)  # past states in the neighbourhoods of the members
@@ -52,6 +52,7 @@ class Past(NamedTuple):
         horizons: ``(H,)`` seconds, rising. unusual: ``(B,)`` metres, rising: see ``novelty``.
         shares: ``(B, H, 7)`` of the members in a forecast. masses: ``(4,)`` of the members of the map, and of no
             knowledge, in the classes. doubts: ``(B,)`` how likely it is that an agent goes none of the ways known.
+        dim: number of coordinates of the tracks.
     """
 
     points: Floats
@@ -73,6 +74,7 @@ class Past(NamedTuple):
     shares: Floats
     masses: Floats
     doubts: Floats
+    dim: int
 
 
 @inner
@@ -130,8 +132,10 @@ def _member(rows, past, ranges, depths, ahead, need, reports, factors, dice, out
         for i in range(n):
             t = int((i + turn) / n * trees)
             a, b, count = neighbourhood(rows, past, ranges[t], depths[t], ahead, need)
-            k = int(uniform(dice) * max(count, 1))
-            out[i] = rows[a]
+            if count == 0:
+                out[i] = rows[a + int(uniform(dice) * (b - a))]
+                continue
+            k = int(uniform(dice) * count)
             for j in range(a, b):
                 if ahead <= 0.0 or _steps_left(past, rows[j]) >= ahead:
                     if k == 0:
@@ -146,7 +150,7 @@ def _member(rows, past, ranges, depths, ahead, need, reports, factors, dice, out
         for j in range(a, b):
             if count == 0 or _steps_left(past, rows[j]) >= ahead:
                 weight[t] += _told(past, rows[j], reports, factors)
-        weight[t] /= max(count, 1)
+        weight[t] /= count if count else b - a
         total += weight[t]
     t, before = 0, 0.0
     for i in range(n):
@@ -155,7 +159,7 @@ def _member(rows, past, ranges, depths, ahead, need, reports, factors, dice, out
             before += weight[t]
             t += 1
         a, b, count = neighbourhood(rows, past, ranges[t], depths[t], ahead, need)
-        left = uniform(dice) * weight[t] * max(count, 1)
+        left = uniform(dice) * weight[t] * (count if count else b - a)
         out[i] = rows[a]
         for j in range(a, b):
             if count == 0 or _steps_left(past, rows[j]) >= ahead:
@@ -175,11 +179,13 @@ def _anyone(past, ahead, reports, factors, dice, out):
             low = middle + 1
         else:
             high = middle
-    many = max(low, 1)
+    many, most = max(low, 1), 1.0
+    for r in range(len(factors)):
+        most *= max(factors[r], 1.0)
     for i in range(len(out)):
         for _ in range(TRIES if len(factors) else 1):
             out[i] = past.longest[int(uniform(dice) * many)]
-            if len(factors) == 0 or uniform(dice) < _told(past, out[i], reports, factors):
+            if len(factors) == 0 or uniform(dice) * most < _told(past, out[i], reports, factors):
                 break
 
 
@@ -187,7 +193,7 @@ def _anyone(past, ahead, reports, factors, dice, out):
 def moved(past, row, seconds, out):
     """Displacement ``out`` (d,) of a past state within ``seconds``, or until its track ends."""
     last = past.begins[past.track[row] + 1] - 1
-    later = seconds / past.step
+    later = steps(seconds, past.step)
     a = min(row + int(later), last)
     b = min(a + 1, last)
     share = later - int(later) if a < last else 0.0
@@ -205,7 +211,7 @@ def members(raw, past, used, ranges, depths, seconds, counts, reports, factors, 
         rows: (n,) is filled with the past states.
     """
     d = past.points.shape[1]
-    ahead = math.ceil(seconds / past.step - 1e-9)
+    ahead = math.ceil(steps(seconds, past.step) - 1e-9)
     ground, c, s = heading(raw, d, past.lags, past.base)
     n = 0
     for m in range(MEMBERS):
@@ -241,7 +247,8 @@ def finished(past, used, ranges, depths, since, seconds):
     By the past states of the map's second member, and one of each kind more, as if seen; without trees by all states.
     """
     there, gone = 0, 0
-    alive, later = math.ceil(since / past.step - 1e-9), math.ceil(seconds / past.step - 1e-9)
+    alive = math.ceil(steps(since, past.step) - 1e-9)
+    later = math.ceil(steps(seconds, past.step) - 1e-9)
     if used == 0:
         for i in range(len(past.left)):
             there += past.left[i] >= alive
@@ -363,7 +370,7 @@ def log_density(points, first, last, at, floor):
 
 @inner
 def foretold(raw, past, used, ranges, depths, strange, seconds, at, floor, dice, draws):
-    """Log-densities of a position ``at`` (d,) ``seconds`` ahead: by the members that know ways, and by the last."""
+    """Log-densities of a position ``at`` (dim,) ``seconds`` ahead: by the members that know ways, and by the last."""
     shares, counts = np.empty(MEMBERS), np.empty(MEMBERS, dtype=np.int64)
     none, no = np.empty((0, 2), dtype=np.int64), np.empty(0)
     shares_at(past, strange, seconds, shares)
@@ -375,6 +382,6 @@ def foretold(raw, past, used, ranges, depths, strange, seconds, at, floor, dice,
         shares[m] /= total
     rounded(shares, draws, counts)
     counts[MEMBERS - 1] += draws
-    rows, out = np.empty(2 * draws, dtype=np.int64), np.empty((2 * draws, len(at)))
+    rows, out = np.empty(2 * draws, dtype=np.int64), np.empty((2 * draws, past.points.shape[1]))
     members(raw, past, used, ranges, depths, seconds, counts, none, no, dice, rows, out)
     return log_density(out, 0, draws, at, floor), log_density(out, draws, 2 * draws, at, floor)

@@ -10,6 +10,7 @@ import math
 from wakefold.base.compile import inner, kernel
 
 DAY = 86400.0
+BEYOND = 1e15
 
 
 @inner
@@ -114,6 +115,12 @@ def all_features(raw, d, lags, base, slow, daily, to_map, to_own):
         features(raw[i], d, lags, base, slow, daily, to_map[i], to_own[i])
 
 
+@inner
+def steps(seconds, step):
+    """How many steps that is; no more than a whole number holds."""
+    return min(seconds / step, BEYOND)
+
+
 @kernel
 def futures(points, begins, track, row, ahead, step, out):
     """Displacement ``out`` (n, H, d) of past states ``row`` (n,) until ``ahead`` (H,) seconds later, or their end."""
@@ -121,7 +128,7 @@ def futures(points, begins, track, row, ahead, step, out):
     for i in range(len(row)):
         last = begins[track[row[i]] + 1] - 1
         for h in range(len(ahead)):
-            later = ahead[h] / step
+            later = steps(ahead[h], step)
             a = min(row[i] + int(later), last)
             b = min(a + 1, last)
             share = later - int(later) if a < last else 0.0

@@ -55,7 +55,7 @@ def held_out(
             )
             _distances(out, raw[i], moved_to[i, h], draws, near[i, h], cross[i, h])
         if alive[i, KNOWN]:
-            at, room = raw[i, :d] + moved_to[i, KNOWN], ranges[: len(there)]
+            at, room = (raw[i, :d] + moved_to[i, KNOWN])[: past.dim], ranges[: len(there)]
             known[i], plain[i] = foretold(
                 raw[i], past, used, room, there, strange[i], past.horizons[KNOWN], at, floor, dice, draws
             )
