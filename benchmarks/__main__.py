@@ -2,8 +2,8 @@
 
 import sys
 
-from benchmarks import demo_settings, engines, filters, filtration, fleet, frechet, growth, reading, relational
+from benchmarks import demo_settings, engines, filters, filtration, fleet, frechet, growth, hostile, reading, relational
 
-for script in (frechet, filtration, growth, filters, fleet, relational, engines, reading, demo_settings):
+for script in (frechet, filtration, growth, filters, fleet, relational, engines, reading, hostile, demo_settings):
     print(f"\n## {script.__name__}\n")
     script.main(quick="--quick" in sys.argv[1:])

@@ -54,7 +54,7 @@ def test_an_error_cancels_what_has_not_started(threads, error):
 
 def test_nonsense_is_refused():
     assert cores() >= 1
-    with pytest.raises(ValueError, match="threads must be at least 1"):
+    with pytest.raises(ValueError, match="threads must be a whole number of at least 1"):
         thread_map(abs, [1], threads=0)
 
 
