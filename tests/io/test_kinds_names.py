@@ -229,3 +229,14 @@ def test_agents_of_parquet_with_odd_types(tmp_path):
     sink = pa.BufferOutputStream()
     pa.parquet.write_table(pa.table(table), sink)
     assert list(read(tmp_path, sink.getvalue().to_pybytes())[0].ids) == ["a", "b"]
+
+
+def test_control_characters_of_names_are_escaped(tmp_path):
+    names = ["a\nb", "c\x1b[2J", "d\u202ee", "\u0645\u200c"]  # the last is Persian, and stays
+    fixes = ({"id": name, "time": k, "lon": 1, "lat": 2, "name": "x\ty"} for k, name in enumerate(names))
+    rows = "".join(json.dumps(fix) + "\n" for fix in fixes)
+    tracks, _ = read(tmp_path, rows)
+    assert list(tracks.ids) == ["a\\nb", "c\\x1b[2J", "d\\u202ee", "\u0645\u200c"]
+    assert list(tracks.attributes["name"]) == ["x\\ty"] * 4
+    gpx = '<gpx><trk><name>a&#10;b</name><trkseg><trkpt lat="1" lon="2"/></trkseg></trk></gpx>'
+    assert list(read(tmp_path, gpx)[0].ids) == ["a\\nb"]

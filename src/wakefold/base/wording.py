@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
+
+_CONTROL = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
 def number_text(value: float, digits: int = 3) -> str:
@@ -29,12 +32,9 @@ def counted(count: int, noun: str) -> str:
 
 
 def escaped(text: str) -> str:
-    """A text from a file as it may be shown: tabs, line ends, escape codes as ``\\t``, ``\\n``, ``\\x1b``."""
-    return (
-        text
-        if text.isprintable()
-        else "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in text)
-    )
+    """A text from a file as it may be shown anywhere: tabs, line ends, escape codes and what turns the direction of
+    writing as ``\\t``, ``\\n``, ``\\x1b``, ``\\u202e``."""
+    return _CONTROL.sub(lambda match: match[0].encode("unicode_escape", "surrogatepass").decode(), text)
 
 
 def near_miss(name: str, names: Iterable[str]) -> str:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from wakefold.base.types import Floats
 from wakefold.base.units import FARTHEST
-from wakefold.base.wording import counted
+from wakefold.base.wording import counted, escaped
 from wakefold.io import times
 from wakefold.io.records import PAIRED, Latest, Rows, Static, as_text, identity, is_text, last_rows, rounded
 from wakefold.io.report import ReadError, Report, Tally, some
@@ -156,6 +156,7 @@ class Collector:
     def _encode(self, agent: str | pa.Array, n: int) -> NDArray[np.int32]:
         """``(n,)`` the number of each row's agent, in order of appearance; -1 without one."""
         if isinstance(agent, str):  # a track of its own: told apart from others of that name
+            agent = escaped(agent)
             count = self._trajectories[agent] = self._trajectories.get(agent, 0) + 1
             name = agent if count == 1 else f"{agent}#{count}"
             while name in self._codes:

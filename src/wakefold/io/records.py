@@ -15,6 +15,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from wakefold.base.types import Floats
+from wakefold.base.wording import escaped
 
 NUMBER = r"^\s*[+-]?(\d{1,30}\.?\d{0,30}|\.\d{1,30})([eE][+-]?\d{1,2})?\s*$"
 """What is taken for a number where the parser found something that is none."""
@@ -155,7 +156,7 @@ class Latest:
             known = dict(zip(self._codes[0].tolist(), self._values[0].tolist(), strict=True))
         if self._numbers:
             return np.array([known.get(code, np.nan) for code in codes.tolist()], dtype=np.float64)
-        return np.array([as_text(known.get(code))[:LONGEST_TEXT] for code in codes.tolist()], dtype=np.str_)
+        return np.array([escaped(as_text(known.get(code)))[:LONGEST_TEXT] for code in codes.tolist()], dtype=np.str_)
 
 
 def _take(values: NDArray[np.floating] | pa.Array, where: NDArray[np.integer]) -> NDArray[np.floating] | pa.Array:
@@ -222,7 +223,7 @@ def plain(name: str) -> str:
 def identity(value: Any) -> str:
     """Name of an agent; whole numbers that were made floats on their way (``367000140.0``, or as spreadsheets write
     them ``3.6700014E+08``) without fraction and exponent."""
-    text = as_text(value)
+    text = escaped(as_text(value))
     return str(int(float(text))) if FLOATED.fullmatch(text) and float(text) % 1 == 0 else text
 
 
