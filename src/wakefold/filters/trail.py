@@ -275,7 +275,7 @@ class Trail:
         if at != "any":
             raise ValueError(f"at must be 'any' for a Trail, got {at!r}")
         trails = columns(1, self.model.tracks.dim)
-        trails.key[0] = agent_key(self.seed, agent)
+        trails.key[0], trails.who[0] = agent_key(self.seed, agent), self.memory.who(agent)
         now = None if time is None else timestamp(time)
         trails.clock[0] = 0.0 if now is None else now
         if fix is not None:

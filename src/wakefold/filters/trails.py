@@ -23,7 +23,7 @@ def columns(agents: int, dim: int) -> Trails:
         np.zeros((agents, SLOTS)), np.zeros((agents, SLOTS, d)), np.zeros(agents, dtype=np.int64),
         np.zeros(agents), np.ones(agents), np.zeros((agents, REPORTS, 2), dtype=np.int64),
         np.ones((agents, REPORTS)), np.zeros(agents, dtype=np.int64), np.zeros((agents, 2), dtype=np.uint64),
-        np.zeros(agents, dtype=np.int64),
+        np.zeros(agents, dtype=np.int64), np.zeros(agents),
     )  # fmt: skip
 
 

@@ -62,7 +62,7 @@ def _beliefs(filter: Filter, asked: Questions, track: int, last: int, sd: float 
     for row in rows:
         fix, now = Fix(fixes.points[row], sd=sd), float(fixes.times[row])
         if belief is None:
-            belief = filter.start(fix=fix, time=now, agent=str(fixes.ids[track]))
+            belief = filter.start(fix=fix, time=now, agent=str(fixes.attributes.get("agent", fixes.ids)[track]))
         else:
             belief = filter.step(belief, [fix], time=now)
         yield row, belief

@@ -30,7 +30,11 @@ from wakefold.model.remembering import (
     features_of,
     forests_of,
     going_of,
+    hidden,
+    known_agents,
     lags_of,
+    numbers,
+    numbers_of,
     targets_of,
     weighed,
 )
@@ -39,7 +43,17 @@ if TYPE_CHECKING:
     from wakefold.model.filtration import Filtration
     from wakefold.tracks.tracks import Tracks
 
-ARRAYS = ("points", "begins", "going", "lags", "shares", "masses", "unusual", "doubts")  # that are kept on disk
+ARRAYS = (
+    "points",
+    "begins",
+    "going",
+    "lags",
+    "shares",
+    "masses",
+    "unusual",
+    "doubts",
+    "agents",
+)  # that are kept on disk
 UNKNOWN = 0.1  # share of agents that go none of the ways known, where tracks are too few to learn it
 
 
@@ -59,6 +73,7 @@ class Memory(Remembers):
         ways, own: the forests, of the map and of the own frame.
         shares, masses, unusual, doubts: see ``recall.Past``.
         rank: ``(M,)`` leaf rank of each track.
+        agents: ``(A,)`` names of those with several tracks, in order; none where hardly any agent comes back.
     """
 
     points: Floats
@@ -78,6 +93,7 @@ class Memory(Remembers):
     unusual: Floats
     doubts: Floats
     rank: Ints
+    agents: NDArray[np.str_]
 
     @classmethod
     def learn(
@@ -104,13 +120,14 @@ class Memory(Remembers):
         going = going_of(seen.raw, seen.d, lags, base)
         slow = 0.2 * float(np.median(np.sqrt(np.square(going).sum(axis=1)))) or 1.0
         block = blocks_of(tracks.times[tracks.offsets[:-1]])[seen.track]
-        x = features_of(seen.d, seen.raw, lags, base, slow, daily)
+        agents = known_agents(tracks)
+        x = features_of(seen, hidden(numbers_of(tracks, agents))[seen.track], lags, base, slow, daily)
         y = targets_of(seen, lags, base, ahead)
         grown, sees = forests_of(x, y, block, threads, progress)
         made = cls(
             seen.points, seen.begins, going, lags, step, unit, base, slow, daily, tracks.dim, *grown,
             shares=np.tile(np.array(DEFAULT), (1, len(ahead), 1)), masses=np.array([0.3, 0.3, 0.3, 0.1]),
-            unusual=np.zeros(1), doubts=np.full(1, UNKNOWN), rank=filtration.rank,
+            unusual=np.zeros(1), doubts=np.full(1, UNKNOWN), rank=filtration.rank, agents=agents,
         )  # fmt: skip
         found = weighed(made.past, filtration, seen, x, block, sees)
         return made if found is None else replace(made, **found)
@@ -125,7 +142,8 @@ class Memory(Remembers):
         """
         lags, ahead = self.lags, self.unit * np.array(HORIZONS)
         seen, old = Seen.of(tracks, self.step, self.unit, lags), len(self.points)
-        x = features_of(seen.d, seen.raw, lags, self.base, self.slow, self.daily)
+        who = numbers_of(tracks, self.agents)[seen.track]
+        x = features_of(seen, who, lags, self.base, self.slow, self.daily)
         y = targets_of(seen, lags, self.base, ahead)
         grown, _ = forests_of(x, y, np.zeros(len(seen.raw), dtype=np.int64), threads, None, (self.ways, self.own), old)
         going = going_of(seen.raw, seen.d, lags, self.base)
@@ -148,6 +166,10 @@ class Memory(Remembers):
         return past._replace(
             ways=recall.Trees._make(map(_fixed, self.ways)), own=recall.Trees._make(map(_fixed, self.own))
         )
+
+    def who(self, agent: str | None) -> float:
+        """The number of an agent by its name; -1 if it is not known."""
+        return float(numbers(np.array(["" if agent is None else agent]), self.agents)[0])
 
     @property
     def limit(self) -> float:
@@ -196,7 +218,7 @@ class Memory(Remembers):
         kinds = {"begins": np.int64, "going": np.float32}
         sound = all(getattr(self, name).shape == shape for name, shape in shapes.items())
         sound = sound and all(getattr(self, name).dtype == kinds.get(name, np.float64) for name in ARRAYS)
-        sound = sound and all(np.isfinite(getattr(self, name)).all() for name in ARRAYS)
+        sound = sound and all(np.isfinite(getattr(self, name)).all() for name in ARRAYS if name != "agents")
         sound = (
             sound
             and d == max(self.dim, 2)

@@ -26,12 +26,13 @@ HORIZONS = (0.15, 0.5, 1.5, 4.0, 10.0, 20.0)  # units ahead that shares are lear
 GROWN = 2  # the first of them that forests are grown for
 FINEST, COARSEST = 6, 2  # past states in a unit of time
 FEW, MOST = 150_000, 300_000  # past states that are wanted, and kept at most: of more tracks, states farther apart
-TREES = 32, 24  # of the map and of the own frame, for ``FEW`` states; of fewer states, up to
+TREES = 32, 20  # of the map and of the own frame, for ``FEW`` states; of fewer states, up to
 MORE = 4  # times as many
 LEAVES = 2, 4
 BLOCKS = 10  # of tracks one after the other, where there are not so many days
 LEAST_BLOCKS = 3  # of fewer, every tree sees all, and nothing is held out
 DAY = 86400.0
+BACK, UNNAMED = 0.3, 0.2  # share of tracks of agents that come back; of tracks whose agents are held to be unknown
 TRIED = slice(2, 4)  # horizons that velocities are tried to
 ALIKE = 1.02  # of two velocities that go on about as well, the one over the longer lag has less noise
 LEFT_OUT, KEPT = 0.3, 0.8  # share of the blocks that a tree does not see, and of the rows of the others that it does
@@ -127,10 +128,41 @@ def blocks_of(starts: Floats) -> Ints:
     return rank * min(BLOCKS, len(starts)) // len(starts)
 
 
-def features_of(d: int, raw: Floats, lags: Floats, base: int, slow: float, daily: bool) -> tuple[Singles, Singles]:
-    shape = len(raw), feature_count(d, len(lags))
+def known_agents(tracks: Tracks) -> NDArray[np.str_]:
+    """Names of the agents with several tracks, in order; none where they have under ``BACK`` of the tracks."""
+    names, counts = np.unique(_names(tracks), return_counts=True)
+    several = counts > 1
+    return names[several] if counts[several].sum() >= BACK * len(tracks) else names[:0]
+
+
+def numbers_of(tracks: Tracks, agents: NDArray[np.str_]) -> Floats:
+    """The number (M,) of the agent of each track."""
+    return numbers(_names(tracks), agents)
+
+
+def numbers(names: NDArray[np.str_], agents: NDArray[np.str_]) -> Floats:
+    """Numbers (n,) of names among agents in order, -1 of others: names near in order are often of one owner or kind."""
+    if not len(agents):
+        return np.full(len(names), -1.0)
+    at = np.minimum(np.searchsorted(agents, names), len(agents) - 1)
+    return np.where(agents[at] == names, at, -1).astype(np.float64)
+
+
+def hidden(who: Floats) -> Floats:
+    """Numbers of the agents of tracks (M,), some of which are held to be unknown: as agents met later are."""
+    return np.where(np.random.default_rng(13).random(len(who)) < UNNAMED, -1.0, who)
+
+
+def _names(tracks: Tracks) -> NDArray[np.str_]:
+    own = tracks.attributes.get("agent")
+    return tracks.ids if own is None else own.astype(np.str_)
+
+
+def features_of(seen: Seen, who: Floats, lags: Floats, base: int, slow: float, daily: bool) -> tuple[Singles, Singles]:
+    """Features of past states, of agents numbered ``who`` (S,), for the map and in the own frame."""
+    shape = len(seen.raw), feature_count(seen.d, len(lags))
     to_map, to_own = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
-    all_features(raw, d, lags, base, slow, daily, to_map, to_own)
+    all_features(seen.raw, who, seen.d, lags, base, slow, daily, to_map, to_own)
     return to_map, to_own
 
 
@@ -185,7 +217,7 @@ def forests_of(
         rows = (seen[rng.random(len(seen)) < KEPT] if len(block) > 100 else seen).astype(np.int32)
         rows = np.concatenate([kept, rows])
         nodes, seed = np.zeros((len(rows) + len(guide), 4), dtype=np.int32), 1 + which * 1000 + tree
-        tried = x[which].shape[1] // 2
+        tried = x[which].shape[1] // (1 + which)
         count = forest.grow(x[which], y[which], rows, LEAVES[which], tried, seed, guide, nodes, nodes.view(np.float32))
         return rows, nodes[:count].copy()
 

@@ -190,11 +190,12 @@ class Columns(Agents):
             if one.at is not None:
                 positions[i, : len(one.at)] = one.at
         fresh = np.array([one.event != "step" for one in taken])
-        keys = np.zeros((len(taken), 2), dtype=np.uint64)
+        keys, who = np.zeros((len(taken), 2), dtype=np.uint64), np.zeros(len(taken))
         for i in np.flatnonzero(fresh).tolist():
             keys[i] = agent_key(self.filter.seed, taken[i].seen.agent)
+            who[i] = self.filter.memory.who(taken[i].seen.agent)
         return kernel.Block(
-            np.array([one.row for one in taken]), fresh, keys, np.array([one.seen.time for one in taken]),
+            np.array([one.row for one in taken]), fresh, keys, who, np.array([one.seen.time for one in taken]),
             np.array([one.at is not None for one in taken]), positions, np.array([one.sd for one in taken]),
             np.append(0, np.cumsum([len(one.reports) for one in taken])),
             np.array([report[0] for report in reports], dtype=np.int64).reshape(-1, 2),

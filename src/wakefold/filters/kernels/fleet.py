@@ -16,7 +16,8 @@ class Block(NamedTuple):
     """Observations in the order in which they came.
 
     Attributes:
-        rows: ``(n,)`` of the trails. fresh: ``(n,)`` whether the trail starts anew. keys: ``(n, 2)`` of those that do.
+        rows: ``(n,)`` of the trails. fresh: ``(n,)`` whether the trail starts anew. keys: ``(n, 2)`` and who
+            ``(n,)`` of those that do.
         at: ``(n,)`` seconds. known: ``(n,)`` whether there is a fix. positions: ``(n, d)``, sd ``(n,)`` of it, metres.
         first: ``(n + 1,)`` first report of each. intervals: ``(r, 2)``, odds ``(r,)`` of the reports.
     """
@@ -24,6 +25,7 @@ class Block(NamedTuple):
     rows: Ints
     fresh: Bools
     keys: NDArray[np.uint64]
+    who: Floats
     at: Floats
     known: Bools
     positions: Floats
@@ -38,6 +40,7 @@ def _copy(trails, r, out, i):
     out.times[i], out.points[i], out.fixes[i] = trails.times[r], trails.points[r], trails.fixes[r]
     out.clock[i], out.sd[i], out.reports[i] = trails.clock[r], trails.sd[r], trails.reports[r]
     out.odds[i], out.told[i], out.key[i], out.step[i] = trails.odds[r], trails.told[r], trails.key[r], trails.step[r]
+    out.who[i] = trails.who[r]
 
 
 @kernel
@@ -52,6 +55,7 @@ def follow(trails, block, fastest, out, begun):
         if block.fresh[i]:
             trails.fixes[r], trails.told[r], trails.step[r] = 0, 0, 0
             trails.times[r], trails.points[r], trails.reports[r], trails.odds[r] = 0.0, 0.0, 0, 1.0
+            trails.who[r] = block.who[i]
             trails.key[r], trails.clock[r], trails.sd[r] = block.keys[i], block.at[i], 1.0
             if block.known[i]:
                 put_one(trails, r, block.at[i], block.positions[i], block.sd[i], fastest)

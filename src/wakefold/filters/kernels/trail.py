@@ -39,6 +39,7 @@ class Trails(NamedTuple):
         reports: ``(A, REPORTS, 2)`` intervals of leaf ranks, the newest last. odds: ``(A, REPORTS)`` of a past state
             outside against one inside. told: ``(A,)`` how many there are.
         key: ``(A, 2)`` of random streams. step: ``(A,)`` number of steps taken.
+        who: ``(A,)`` number of the agent among those of the memory, see ``Memory.who``.
     """
 
     times: Floats
@@ -51,6 +52,7 @@ class Trails(NamedTuple):
     told: Ints
     key: NDArray[np.uint64]
     step: Ints
+    who: Floats
 
 
 @inner
@@ -150,7 +152,7 @@ class Room(NamedTuple):
 def _room(past):
     d, lags = past.points.shape[1], len(past.lags)
     of_map, of_own = len(past.ways.first_node) - 1, len(past.own.first_node) - 1
-    count = 2 * d + 8 + d * lags
+    count = 2 * d + 9 + d * lags
     return Room(
         np.empty(2 * d + 2 + d * lags),
         np.empty(count, dtype=np.float32),
@@ -163,10 +165,10 @@ def _room(past):
 
 
 @inner
-def _look(times, points, fixes, past, room):
+def _look(times, points, who, fixes, past, room):
     """The state at the last of ``fixes`` and its ways down the forests; its novelty."""
     state(points, times, 0, fixes, times[fixes - 1], past.lags, room.raw)
-    features(room.raw, points.shape[1], past.lags, past.base, past.slow, past.daily, room.to_map, room.to_own)
+    features(room.raw, who, points.shape[1], past.lags, past.base, past.slow, past.daily, room.to_map, room.to_own)
     ways_down(room.to_map, room.to_own, past, room.use_map, room.use_own, room.ranges, room.depths)
     return novelty(room.raw, past, len(room.use_map), room.ranges, room.depths)
 
@@ -192,7 +194,7 @@ def ahead(trails, rows, past, seconds, out, taken):
         reports, odds = trails.reports[r, : trails.told[r]], trails.odds[r, : trails.told[r]]
         fixes, since, strange = trails.fixes[r], 0.0, 0.0
         if fixes:
-            strange = _look(trails.times[r], trails.points[r], fixes, past, room)
+            strange = _look(trails.times[r], trails.points[r], trails.who[r], fixes, past, room)
             since = trails.clock[r] - trails.times[r, fixes - 1]
         for h in range(seconds.shape[1]):
             dice[0] = _dice(trails, r)
@@ -225,7 +227,7 @@ def ended(trails, rows, past, seconds, out):
         r = rows[i]
         fixes, since = trails.fixes[r], 0.0
         if fixes:
-            _look(trails.times[r], trails.points[r], fixes, past, room)
+            _look(trails.times[r], trails.points[r], trails.who[r], fixes, past, room)
             since = trails.clock[r] - trails.times[r, fixes - 1]
         for h in range(seconds.shape[1]):
             used = len(room.use_map) if fixes else 0
@@ -248,7 +250,7 @@ def masses(trails, rows, past, out):
                     g *= odds[j]
             mass[rank] = g
         if trails.fixes[r]:
-            _look(trails.times[r], trails.points[r], trails.fixes[r], past, room)
+            _look(trails.times[r], trails.points[r], trails.who[r], trails.fixes[r], past, room)
             used = len(room.use_map)
             track_masses(past, used, room.ranges, room.depths, past.masses, reports, odds, mass)
         for rank in range(len(mass)):
@@ -272,7 +274,7 @@ def none(trails, rows, past, out):
         if n == 0:
             out[i] = past.doubts[0]
             continue
-        p = doubt(past, _look(trails.times[r], trails.points[r], n, past, room))
+        p = doubt(past, _look(trails.times[r], trails.points[r], trails.who[r], n, past, room))
         odds, before = p / (1.0 - p), n - 2
         while before > 0 and trails.times[r, n - 1] - trails.times[r, before] < past.lags[1]:
             before -= 1
@@ -286,7 +288,7 @@ def none(trails, rows, past, out):
 @inner
 def _gained(trails, r, before, after, past, room, dice):
     """Log-densities of a kept fix, foretold from those up to another before it; see ``foretold``."""
-    strange = _look(trails.times[r], trails.points[r], before + 1, past, room)
+    strange = _look(trails.times[r], trails.points[r], trails.who[r], before + 1, past, room)
     seconds, floor = trails.times[r, after] - trails.times[r, before], trails.sd[r]
     return foretold(
         room.raw, past, len(room.use_map), room.ranges, room.depths, strange, seconds,
@@ -307,6 +309,6 @@ def evidence(trails, rows, past, out):
         for after in range(1, trails.fixes[r]):
             dice[0] = _dice(trails, r)
             ways, any_way = _gained(trails, r, after - 1, after, past, room, dice)
-            p = doubt(past, _look(trails.times[r], trails.points[r], after, past, room))
+            p = doubt(past, _look(trails.times[r], trails.points[r], trails.who[r], after, past, room))
             most = max(ways, any_way)
             out[i] += most + math.log((1.0 - p) * math.exp(ways - most) + p * math.exp(any_way - most))

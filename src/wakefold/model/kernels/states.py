@@ -72,8 +72,8 @@ def heading(raw, d, lags, base):
 
 
 @inner
-def features(raw, d, lags, base, slow, daily, to_map, to_own):
-    """Features ``to_map`` and ``to_own`` (F,) of a raw state, of the same number."""
+def features(raw, who, d, lags, base, slow, daily, to_map, to_own):
+    """Features ``to_map`` and ``to_own`` (F,) of a raw state of the agent numbered ``who``, of the same number."""
     ground, c, s = heading(raw, d, lags, base)
     now, start, age = raw[:d], raw[d + 2 : 2 * d + 2], raw[d]
     away = 0.0
@@ -97,9 +97,10 @@ def features(raw, d, lags, base, slow, daily, to_map, to_own):
     to_map[n + 2], to_map[n + 3], to_map[n + 4] = c, s, math.log(ground + slow)
     to_map[n + 5], to_map[n + 6] = age, math.sqrt(away)
     to_map[n + 7] = raw[d + 1] % DAY if daily else 0.0
-    for k in range(n, n + 8):
+    to_map[n + 8] = who
+    for k in range(n, n + 9):
         to_own[k] = to_map[k]
-    n += 8
+    n += 9
     for j in range(len(lags)):
         at = 2 * d + 2 + j * d
         for k in range(d):
@@ -109,10 +110,10 @@ def features(raw, d, lags, base, slow, daily, to_map, to_own):
 
 
 @kernel
-def all_features(raw, d, lags, base, slow, daily, to_map, to_own):
+def all_features(raw, who, d, lags, base, slow, daily, to_map, to_own):
     """``features`` of raw states (n, raw_length)."""
     for i in range(len(raw)):
-        features(raw[i], d, lags, base, slow, daily, to_map[i], to_own[i])
+        features(raw[i], who[i], d, lags, base, slow, daily, to_map[i], to_own[i])
 
 
 @inner
@@ -156,4 +157,4 @@ def raw_length(d: int, lags: int) -> int:
 
 def feature_count(d: int, lags: int) -> int:
     """Numbers of a vector of features."""
-    return 2 * d + 8 + d * lags
+    return 2 * d + 9 + d * lags
