@@ -231,7 +231,7 @@ def ended(trails, rows, past, seconds, out):
             since = trails.clock[r] - trails.times[r, fixes - 1]
         for h in range(seconds.shape[1]):
             used = len(room.use_map) if fixes else 0
-            out[i, h] = finished(past, used, room.ranges, room.depths, since, since + seconds[i, h])
+            out[i, h] = finished(past, used, room.ranges, room.depths, since + seconds[i, h])
 
 
 @kernel

@@ -205,12 +205,15 @@ def moved(past, row, seconds, out):
 def members(raw, past, used, ranges, depths, seconds, counts, reports, factors, dice, rows, out):
     """Positions ``out`` (n, d) ``seconds`` ahead, so many as ``counts`` (7,) says of each member in turn.
 
+    Of more seconds than the longest track lasts, after so many as it does.
+
     Args:
         raw: the agent's state. used: number of trees of the map among ``depths``.
         reports: (r, 2) intervals of leaf ranks. factors: (r,) odds of a past state outside against one inside.
         rows: (n,) is filled with the past states.
     """
     d = past.points.shape[1]
+    seconds = min(seconds, past.left[0] * past.step)
     ahead = math.ceil(steps(seconds, past.step) - 1e-9)
     ground, c, s = heading(raw, d, past.lags, past.base)
     n = 0
@@ -241,25 +244,23 @@ def members(raw, past, used, ranges, depths, seconds, counts, reports, factors, 
 
 
 @inner
-def finished(past, used, ranges, depths, since, seconds):
-    """Probability that a voyage still on its way after ``since`` seconds has ended after ``seconds``.
+def finished(past, used, ranges, depths, seconds):
+    """Probability that a voyage on its way at the last fix has ended ``seconds`` later.
 
     By the past states of the map's second member, and one of each kind more, as if seen; without trees by all states.
     """
     there, gone = 0, 0
-    alive = math.ceil(steps(since, past.step) - 1e-9)
     later = math.ceil(steps(seconds, past.step) - 1e-9)
     if used == 0:
         for i in range(len(past.left)):
-            there += past.left[i] >= alive
-            gone += alive <= past.left[i] < later
+            there += 1
+            gone += past.left[i] < later
     for t in range(used):
-        a, b, _ = neighbourhood(past.ways.rows, past, ranges[t], depths[t], alive, NEEDS[1])
+        a, b, _ = neighbourhood(past.ways.rows, past, ranges[t], depths[t], 0.0, NEEDS[1])
         for j in range(a, b):
-            left = _steps_left(past, past.ways.rows[j])
-            there += left >= alive
-            gone += alive <= left < later
-    return (gone + 0.5) / (there + 1.0) if later > alive else 0.0
+            there += 1
+            gone += _steps_left(past, past.ways.rows[j]) < later
+    return (gone + 0.5) / (there + 1.0) if later > 0 else 0.0
 
 
 @inner

@@ -88,23 +88,29 @@ def _distances(points, raw, moved_to, draws, near, cross):
 def best_shares(near, cross, out):
     """Shares ``out`` (m,) of sum 1 of members in a pool of least energy score: near . out - out cross out / 2.
 
-    Exponentiated gradient from where they stand, with steps that shrink.
+    Weight goes from the worst member that has some to the best, as much as lowers the score most.
     """
     m = len(near)
     slope = np.empty(m)
-    for turn in range(2000):
-        least, most = math.inf, 0.0
+    for _ in range(2000):
+        best, worst, most = 0, -1, 0.0
         for i in range(m):
             slope[i] = near[i]
             for j in range(m):
                 slope[i] -= cross[i, j] * out[j]
-            least, most = min(least, slope[i]), max(most, abs(slope[i]))
-        total = 0.0
+            most = max(most, abs(slope[i]))
+            if slope[i] < slope[best]:
+                best = i
         for i in range(m):
-            out[i] *= math.exp(-(slope[i] - least) / max(most, 1e-300) * 5.0 / math.sqrt(1.0 + 0.05 * turn))
-            total += out[i]
-        for i in range(m):
-            out[i] /= total
+            if out[i] > 0.0 and (worst < 0 or slope[i] > slope[worst]):
+                worst = i
+        gain = slope[worst] - slope[best]
+        if not gain > 1e-9 * most:
+            break
+        bend = 2.0 * cross[best, worst] - cross[best, best] - cross[worst, worst]
+        part = min(gain / bend, out[worst]) if bend > 0.0 else out[worst]
+        out[best] += part
+        out[worst] -= part
 
 
 @kernel
