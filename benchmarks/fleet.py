@@ -29,12 +29,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from wakefold.cli.followers import FILTERS, FilterName, follower
+from wakefold.cli.followers import FILTERS, FilterName, crowd, follower
 from wakefold.evidence.fix import on_plane
 from wakefold.experiments.harbour import demo
 from wakefold.model.model import Model, learn, load
 from wakefold.service import answers, feed
-from wakefold.service.fleet import Fleet
 from wakefold.service.remarks import Remarks
 from wakefold.tracks.projection import Projection
 from wakefold.tracks.tracks import Tracks
@@ -94,13 +93,12 @@ def resident() -> int:
 
 def crowd_of(name: FilterName, model: Model, levels: list[float]) -> Callable[[bytes], None]:
     """Takes a block of lines and answers them, into nowhere."""
-    crowd = Fleet(
-        follower(name, model, {**SETTINGS, "levels": levels}), levels, HORIZONS, AGENTS, 1e9, Remarks(_nothing)
-    )
+    following = follower(name, model, {**SETTINGS, "levels": levels})
+    live = crowd(following, levels, HORIZONS, AGENTS, 1e9, Remarks(_nothing))
 
     def work(block: bytes) -> None:
         for seen in feed.read(feed.blocks_of(io.BytesIO(HEADER + block))):
-            for part in crowd(seen):
+            for part in live(seen):
                 for one in part:
                     assert not isinstance(one, feed.Refused), one.why
                     answers.csv_line(one.answer)

@@ -18,7 +18,7 @@ def raw_state(points, times, at, lags):
     return np.concatenate(parts + [here - place(points, times, at - lag) for lag in lags])
 
 
-def features(raw, d, lags, base, slow, daily):
+def features(raw, who, d, lags, base, slow, daily):
     """Of the map, and of the own frame."""
     now, age, time, start = raw[:d], raw[d], raw[d + 1], raw[d + 2 : 2 * d + 2]
     back = raw[2 * d + 2 :].reshape(len(lags), d)
@@ -35,7 +35,7 @@ def features(raw, d, lags, base, slow, daily):
     if older > 0:
         change = back[base][:2] / span - (back[base + 1][:2] - back[base][:2]) / older
     away = math.sqrt(sum(x * x for x in start))
-    common = [*turned(change), c, s, math.log(speed + slow), age, away, time % 86400.0 if daily else 0.0]
+    common = [*turned(change), c, s, math.log(speed + slow), age, away, time % 86400.0 if daily else 0.0, who]
     return (
         np.concatenate([now, now - start, common, back.ravel()]),
         np.concatenate([now, turned(start), common, *[turned(b) for b in back]]),

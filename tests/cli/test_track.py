@@ -15,8 +15,8 @@ from room import WAKEFOLD, fixes, harbour, run
 
 import wakefold as wf
 from wakefold.cli import followers
-from wakefold.service import album as pictures
 from wakefold.service import agents, feed, fleet
+from wakefold.service import album as pictures
 from wakefold.service.answers import csv_line
 from wakefold.service.feed import Observation, Refused
 from wakefold.service.remarks import Remarks
@@ -52,7 +52,10 @@ def test_an_agent_s_answers_do_not_depend_on_the_others(room: Path) -> None:
     assert [line for line in together.splitlines() if line.startswith("tug")] == alone.splitlines()[1:]
 
 
-@pytest.mark.parametrize("name", ["bl1", "bl1+coarse", "bl2", "calibrated", "trail", "mhpf --rule gsi2017 --likelihood student"])
+FOLLOWERS = ["bl1", "bl1+coarse", "bl2", "calibrated", "trail", "mhpf --rule gsi2017 --likelihood student"]
+
+
+@pytest.mark.parametrize("name", FOLLOWERS)
 def test_every_filter_follows(name: str, room: Path) -> None:
     few = "" if name == "trail" else "--particles 50"
     code, out, err = run(f"track harbour.model fixes.csv {few} --filter {name}")

@@ -22,7 +22,8 @@ def model():
 
 def features_of(memory, tracks):
     seen = remembering.Seen.of(tracks, memory.step, memory.unit, memory.lags)
-    x = remembering.features_of(seen.d, seen.raw, memory.lags, memory.base, memory.slow, memory.daily)
+    who = remembering.numbers_of(tracks, memory.agents)[seen.track]
+    x = remembering.features_of(seen, who, memory.lags, memory.base, memory.slow, memory.daily)
     return seen, x
 
 
@@ -54,12 +55,12 @@ def test_states_and_features_are_those_of_loops(dim):
     states(points, tracks.times, tracks.offsets, track, at, lags, raw)
     for base in range(3):
         out = [np.empty((60, feature_count(d, 4)), dtype=np.float32) for _ in range(2)]
-        all_features(raw, d, lags, base, 0.3, True, *out)
+        all_features(raw, track.astype(float), d, lags, base, 0.3, True, *out)
         for i in range(60):
             rows = slice(tracks.offsets[track[i]], tracks.offsets[track[i] + 1])
             wanted = naive.raw_state(points[rows], tracks.times[rows], at[i], lags)
             np.testing.assert_allclose(raw[i], wanted, atol=1e-9)
-            for got, told in zip(out, naive.features(raw[i], d, lags, base, 0.3, True), strict=True):
+            for got, told in zip(out, naive.features(raw[i], track[i], d, lags, base, 0.3, True), strict=True):
                 np.testing.assert_allclose(got[i], told, rtol=1e-5, atol=1e-5)
 
 
@@ -75,7 +76,7 @@ def test_the_own_frame_does_not_feel_a_quarter_turn():
         raw = np.empty((20, raw_length(2, 3)))
         states(t.points, t.times, t.offsets, track, at, lags, raw)
         out = [np.empty((20, feature_count(2, 3)), dtype=np.float32) for _ in range(2)]
-        all_features(raw, 2, lags, 1, 0.3, False, *out)
+        all_features(raw, np.full(20, -1.0), 2, lags, 1, 0.3, False, *out)
         found.append(np.delete(out[1], [0, 1, 6, 7], axis=1))
     assert (np.abs(found[0]).max(axis=0) > 0).sum() >= found[0].shape[1] - 1
     assert (found[0][:, 2:] == found[1][:, 2:])[np.abs(found[0][:, 4:5]).ravel() > 1].all()

@@ -217,8 +217,10 @@ class Memory(Remembers):
         }  # fmt: skip
         kinds = {"begins": np.int64, "going": np.float32}
         sound = all(getattr(self, name).shape == shape for name, shape in shapes.items())
-        sound = sound and all(getattr(self, name).dtype == kinds.get(name, np.float64) for name in ARRAYS)
-        sound = sound and all(np.isfinite(getattr(self, name)).all() for name in ARRAYS if name != "agents")
+        numbers = [name for name in ARRAYS if name != "agents"]
+        sound = sound and all(getattr(self, name).dtype == kinds.get(name, np.float64) for name in numbers)
+        sound = sound and all(np.isfinite(getattr(self, name)).all() for name in numbers)
+        sound = sound and self.agents.dtype.kind == "U" and self.agents.ndim == 1
         sound = (
             sound
             and d == max(self.dim, 2)
