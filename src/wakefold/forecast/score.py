@@ -225,7 +225,8 @@ def _found(method: Method, plain: Method, asked: Questions, ledgers: list[Ledger
         progress((k + 1) / len(parts))
     every = Judged(*(np.concatenate(each) for each in zip(*scores, strict=True)))
     book = np.concatenate([ledger.found for ledger in ledgers])
-    speed = float(asked.asked.sum()) / spent if spent > 0 else math.nan
+    told = int(np.isfinite(book[:, :, :1, classes.TRUE]).sum())
+    speed = float(asked.asked.sum() + told) / spent if spent > 0 else math.nan
     return Found(every, np.sum(missing, axis=0), book, speed)
 
 
