@@ -33,7 +33,7 @@ class Scores(Remembers):
         unanswered: ``(H,)`` by method: how many answers it did not give. Constant velocity's stand for them.
         levels: ``(L,)`` of the classes, metres.
         classes: by method that tells classes, ``(T, 3, L, 3)``, see ``wakefold.forecast.classes.Ledger``.
-        speed: questions, of places and of classes, answered in a second of one core, by method; NaN where it was not measured.
+        speed: questions, of places and of classes, answered in a second of one core, by method; NaN if not measured.
         settings: what was chosen for each method on past tracks held back, in plain types.
         notes: what should be known of the numbers.
         again: by method, what answers more questions ``(Q, H, S, d)``.
