@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -245,3 +246,16 @@ def test_nothing_that_was_worked_out_is_pickled_or_copied(model):
     again = copy.copy(belief)
     assert np.array_equal(again.mean("stack"), belief.mean("stack"))
     assert np.array_equal(again.step, belief.step)
+
+
+def test_a_model_keeps_how_its_tracks_were_cut_and_older_ones_are_read(model, tmp_path):
+    cuts = {"max_gap": 1800.0, "min_length": 2000.0}
+    replace(model, cuts=cuts).save(tmp_path / "new")
+    assert wf.load(tmp_path / "new").cuts == cuts
+    arrays, meta = store.load(tmp_path / "new", "model")
+    del meta["cuts"]
+    store.save(tmp_path / "old", dict(arrays), meta, "model")
+    assert wf.load(tmp_path / "old").cuts == {}
+    store.save(tmp_path / "bad", dict(arrays), meta | {"cuts": {"max_gap": "long"}}, "model")
+    with pytest.raises(StoreError, match="is not a sound model"):
+        wf.load(tmp_path / "bad")

@@ -119,7 +119,7 @@ def score(
         {name: each.speed for name, each in found.items()},
         {method.name: method.setting for method in made if method.setting},
         {method.name: partial(_again, method) for method in made},
-        (*shop.notes, *_overlap(model.tracks, held_out)),
+        (*shop.notes, *_overlap(model.tracks, held_out), *_sparse(held_out, asked)),
         seed,
         "m" if ship else "units",
     )
@@ -170,6 +170,14 @@ def _overlap(past: Tracks, tracks: Tracks) -> list[str]:
         return []
     agents = counted(shared, "agent")
     return [f"{agents} of these tracks, and their times, are in the model too: scores on what was learned flatter"]
+
+
+def _sparse(tracks: Tracks, asked: Questions) -> list[str]:
+    """A note if positions are so rare that truths lie on straight lines that nobody may have gone."""
+    if not tracks.median_interval > asked.horizons[0]:
+        return []
+    every = duration_text(tracks.median_interval)
+    return [f"positions are {every} apart (median): what is asked in less lies on straight lines between them"]
 
 
 def _spans(tracks: Tracks) -> dict[str, list[tuple[float, float]]]:
