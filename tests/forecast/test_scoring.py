@@ -81,3 +81,10 @@ def test_plain_methods_turn_and_shift_with_the_plane(seed: int) -> None:
     for name in one.judged:
         assert np.allclose(one.judged[name].error, two.judged[name].error, rtol=1e-3, atol=1e-4, equal_nan=True)
         assert np.allclose(one.judged[name].energy, two.judged[name].energy, rtol=1e-3, atol=1e-4, equal_nan=True)
+
+
+def test_horizons_shorter_than_the_time_between_positions_are_noted() -> None:
+    model, later = wf.learn(walkers(0, 12)), walkers(1, 3, start=1e4)
+    (note,) = wf.score(model, later, horizons=[0.2, 2.0], levels=[], methods=[]).notes
+    assert note.startswith("positions are 0.4 s apart")
+    assert not wf.score(model, later, horizons=[2.0], levels=[], methods=[]).notes
