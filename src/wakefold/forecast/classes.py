@@ -115,7 +115,10 @@ def calibration_error(top: Floats, hit: Floats) -> float:
 
 
 def summary(found: Floats) -> dict[str, dict[str, float]]:
-    """Scores at one level by share of the track, from ``(T, 3, 3)``: mean -log p, share right, calibration error."""
+    """Scores at one level by share of the track, from ``(T, 3, 3)``.
+
+    Mean -log p, share right, calibration error, and of how many tracks.
+    """
     out = {}
     for moment, share in enumerate(SHARES):
         rows = found[:, moment][np.isfinite(found[:, moment, TRUE])]
@@ -124,5 +127,6 @@ def summary(found: Floats) -> dict[str, dict[str, float]]:
                 "nll": float(-np.log(rows[:, TRUE]).mean()),
                 "accuracy": float(rows[:, HIT].mean()),
                 "ece": calibration_error(rows[:, TOP], rows[:, HIT]),
+                "n": len(rows),
             }
     return out

@@ -223,18 +223,17 @@ class Scores(Remembers):
         return sentences
 
     def _of_classes(self, found: dict[str, Any], wide: int) -> list[str]:
-        lines: list[str] = []
+        lines, shares = [], [f"{100 * share:.0f}" for share in classes.SHARES]
+        head = "".join(f"{f'{share}%: -log p':>16}{'right':>8}{'cal.':>8}" for share in shares)
         for level in (f"{b:g}" for b in self.levels):
-            head = "".join(f"{f'{share:.0%}: -log p':>16}{'right':>8}{'cal.':>8}" for share in classes.SHARES)
-            lines += [
-                "",
-                f"class of the whole track at {level} {self.unit}, after a share of it",
-                f"{'method':<{wide}}{head}",
-            ]
-            for name in sorted(found, key=lambda name: found[name][level].get("50", {}).get("nll", np.inf)):
-                cells = [found[name][level].get(f"{100 * share:.0f}") for share in classes.SHARES]
+            lines += ["", f"class of the whole track at {level} {self.unit}, after a share of it"]
+            lines.append(f"{'method':<{wide}}{head}")
+            rows = {name: levels[level] for name, levels in found.items() if levels[level]}
+            for name, row in sorted(rows.items(), key=lambda each: each[1].get("50", {}).get("nll", np.inf)):
+                cells = [row.get(share) for share in shares]
                 text = "".join(
                     f"{c['nll']:>16.2f}{c['accuracy']:>8.0%}{c['ece']:>8.2f}" if c else f"{'':>32}" for c in cells
                 )
-                lines.append(f"{name:<{wide}}{text}")
+                few = any(cell and cell["n"] < len(self.asked.fixes) for cell in cells)
+                lines.append(f"{name + ' *' * few:<{wide}}{text}")
         return lines
