@@ -114,14 +114,17 @@ def score(
             known, pieces, **asked, questions=questions.value, levels=options.heights(heights, known.filtration),
             methods=names, whole=whole, seed=seed, progress=update,
         )  # fmt: skip
-    print(scores.table())
+    written = []
     if json_ is not None:
         json_.write_text(json.dumps(scores.to_dict(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        print(f"wrote {json_}")
+        written.append(json_)
     if out is not None:
         from wakefold.forecast.page import write
 
-        print(f"wrote {write(scores, known, out)}")
+        written.append(write(scores, known, out))
+    print(scores.table())  # last: whoever reads it may close the stream
+    for path in written:
+        print(f"wrote {path}")
 
 
 def method_names(text: str) -> list[str] | None:

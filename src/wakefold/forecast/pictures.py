@@ -92,7 +92,15 @@ def calibration(scores: Scores) -> Figure:
         _diagonal(ax)
         for name in told:
             sure, right, number = _bins(scores.classes[name][:, 1, k])
-            ax.scatter(sure, right, s=4 + 150 * number / number.sum(), color=paint[name], linewidths=0, alpha=0.8)
+            ax.scatter(
+                sure,
+                right,
+                s=4 + 150 * number / number.sum(),
+                color=paint[name],
+                linewidths=0,
+                alpha=0.8,
+                clip_on=False,
+            )
         ax.set_title(f"likeliest class right, {number_text(scores.levels[k])} {scores.unit}")
         ax.set_xlabel("its probability, half way")
     legend_below(figure, _handles(scores, paint), 5)
