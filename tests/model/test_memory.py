@@ -13,7 +13,7 @@ import wakefold as wf
 from wakefold.base import store
 from wakefold.base.compile import kernel
 from wakefold.base.store import StoreError
-from wakefold.filters.kernels.trail import _look, _room
+from wakefold.filters.kernels import trail as kernel_module
 from wakefold.model.kernels import recall
 from wakefold.model.memory import Memory
 from wakefold.model.model import load
@@ -35,8 +35,8 @@ def followed(f, track, count, **start):
 @kernel
 def drawn(trails, past, member, seconds, reports, odds, seed, rows, out):
     """Past states of one member for a trail."""
-    room = _room(past)
-    _look(trails.times[0], trails.points[0], trails.who[0], trails.fixes[0], past, room)
+    room = kernel_module._room(past)
+    kernel_module._look(trails.times[0], trails.points[0], trails.who[0], trails.fixes[0], past, room)
     counts, dice = np.zeros(recall.MEMBERS, dtype=np.int64), np.full(1, seed, dtype=np.uint64)
     counts[member] = len(rows)
     used = len(room.use_map)

@@ -24,6 +24,7 @@ from wakefold.experiments.harbour.report import report_page
 from wakefold.filters.belief import Belief
 from wakefold.filters.bootstrap import BL1, BL2
 from wakefold.filters.mhpf import MHPF
+from wakefold.filters.trail import Trail
 from wakefold.forecast.followed import Filter
 from wakefold.forecast.methods import NAMES
 from wakefold.forecast.questions import ask
@@ -42,7 +43,7 @@ SCALE, SD = 8.0, 50.0  # m/sqrt(s), metres; chosen on 7 December
 PARTICLES, DEPLETION = 500, 0.0009  # so small a share redraws no class at random, but lets a recovery find any
 LEVELS = 3
 HORIZONS = (300.0, 900.0)  # seconds: of the ship that is shown
-FOLLOWER = "MHPF"  # the filter that is shown
+FOLLOWER = "Trail"  # the filter that is shown
 
 
 class Step(NamedTuple):
@@ -115,6 +116,7 @@ def filters(model: Model) -> dict[str, Filter]:
         "BL1": BL1(model, PARTICLES, **settings),
         "BL2": BL2(model, **settings),  # slow: fewer particles
         "MHPF": MHPF(model, PARTICLES, levels=[], **settings),  # levels do not change the base estimate
+        "Trail": Trail(model, seed=SEED),
     }
 
 
