@@ -29,6 +29,7 @@ FEW, MOST = 150_000, 300_000  # past states that are wanted, and kept at most: o
 TREES = 32, 20  # of the map and of the own frame, for ``FEW`` states; of fewer states, up to
 MORE = 4  # times as many
 LEAVES = 2, 4
+PLACES = 3.0, 2.0  # how much it counts in the map where a state is, and where its track began, beside where it goes
 BLOCKS = 10  # of tracks one after the other, where there are not so many days
 LEAST_BLOCKS = 3  # of fewer, every tree sees all, and nothing is held out
 DAY = 86400.0
@@ -170,6 +171,8 @@ def targets_of(seen: Seen, lags: Floats, base: int, ahead: Floats) -> tuple[Sing
     """What the forests are grown for: where states are at the horizons from ``GROWN`` on, each number over its spread.
 
     Of a track that ends before, the map learns where; the own frame, which that tells nothing, the mean of the others.
+    The map learns where states are now, too, which keeps ways apart that run side by side, and last where their tracks
+    began: of that every second tree takes no notice (``forests_of``). Classes gain by it what forecasts lose.
     """
     moves, alive, ahead = seen.moves[:, GROWN:], seen.alive[:, GROWN:], ahead[GROWN:]
     residuals, out = np.empty_like(moves), []
@@ -179,6 +182,10 @@ def targets_of(seen: Seen, lags: Floats, base: int, ahead: Floats) -> tuple[Sing
         off = np.where(known[..., None], every - (every * known[..., None]).sum(axis=0) / many, 0.0)
         spread = np.sqrt((off**2).sum(axis=0) / many)
         out.append((off / np.where(spread > 0, spread, 1.0)).astype(np.float32).reshape(len(off), -1))
+    places = seen.points, seen.points - seen.raw[:, seen.d + 2 : 2 * seen.d + 2]
+    spread = float(np.sqrt(np.mean((seen.points - seen.points.mean(axis=0)) ** 2))) or 1.0
+    for weight, place in zip(PLACES, places, strict=True):
+        out[0] = np.column_stack([out[0], (weight / spread * (place - place.mean(axis=0))).astype(np.float32)])
     return out[0], out[1]
 
 
@@ -204,6 +211,7 @@ def forests_of(
         sizes = [len(guide.first_node) - 1 for guide in guides]
     sees = _sight(sizes[0], blocks, 0), _sight(sizes[1], blocks, 1)
     every = [(which, tree) for which in (0, 1) for tree in range(sizes[which])]
+    here = np.ascontiguousarray(y[0][:, : -(y[1].shape[1] // (len(HORIZONS) - GROWN))])  # all but the start
 
     def one(which_tree: tuple[int, int]) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         which, tree = which_tree
@@ -218,7 +226,8 @@ def forests_of(
         rows = np.concatenate([kept, rows])
         nodes, seed = np.zeros((len(rows) + len(guide), 4), dtype=np.int32), 1 + which * 1000 + tree
         tried = x[which].shape[1] // (1 + which)
-        count = forest.grow(x[which], y[which], rows, LEAVES[which], tried, seed, guide, nodes, nodes.view(np.float32))
+        wanted = here if which == 0 and tree % 2 else y[which]
+        count = forest.grow(x[which], wanted, rows, LEAVES[which], tried, seed, guide, nodes, nodes.view(np.float32))
         return rows, nodes[:count].copy()
 
     grown = thread_map(one, every, threads, progress)
