@@ -75,7 +75,6 @@ def test_damaged_models_are_refused(model, tmp_path):
 
 
 def test_a_model_remembers_how_its_tracks_were_shaped(model, tmp_path):
-    from dataclasses import replace
 
     assert model.shaping == {}
     shaping = {"max_gap": 1800.0, "max_speed": None, "spacing": 50.5}
@@ -113,7 +112,6 @@ def test_a_belief_comes_back_bit_for_bit_and_goes_on_alike(model, tmp_path):
 
 @pytest.mark.parametrize("evidence", [None, -math.inf, -12.5])
 def test_every_log_evidence_survives_the_disk(model, tmp_path, evidence):
-    from dataclasses import replace
 
     belief = replace(wf.BL1(model, 10).start(), log_evidence=evidence)
     belief.save(tmp_path / "belief")
@@ -246,16 +244,3 @@ def test_nothing_that_was_worked_out_is_pickled_or_copied(model):
     again = copy.copy(belief)
     assert np.array_equal(again.mean("stack"), belief.mean("stack"))
     assert np.array_equal(again.step, belief.step)
-
-
-def test_a_model_keeps_how_its_tracks_were_cut_and_older_ones_are_read(model, tmp_path):
-    cuts = {"max_gap": 1800.0, "min_length": 2000.0}
-    replace(model, cuts=cuts).save(tmp_path / "new")
-    assert wf.load(tmp_path / "new").cuts == cuts
-    arrays, meta = store.load(tmp_path / "new", "model")
-    del meta["cuts"]
-    store.save(tmp_path / "old", dict(arrays), meta, "model")
-    assert wf.load(tmp_path / "old").cuts == {}
-    store.save(tmp_path / "bad", dict(arrays), meta | {"cuts": {"max_gap": "long"}}, "model")
-    with pytest.raises(StoreError, match="is not a sound model"):
-        wf.load(tmp_path / "bad")

@@ -45,9 +45,9 @@ farthest. Each row is a moment, each column a level of the tree; a class is the 
 it is. First nothing is known. One fix leaves every track through that place. Then comes the coarse report
 “{escape(report["evidence"])}” (simulated and true, held to be right with probability {settings["confidence"]:g}): it
 speaks of the coarsest level only, yet sharpens all of them. From then on the filter sees a fix every two minutes. All
-columns come from one set of particles, so they never contradict each other.</p>
+columns are sums over the same past voyages, so they never contradict each other.</p>
 {_picture(pictures["belief"], "Probabilities of classes over time and level", 720)}
-<p>Looking ahead at {results["forecast_at"][:5]}: where the particles expect the ship, where it went, and where it would
+<p>Looking ahead at {results["forecast_at"][:5]}: where the filter expects the ship, where it went, and where it would
 be at constant velocity.</p>
 {_picture(pictures["forecast"], "Forecast for 5 and 15 minutes", 560)}
 
