@@ -75,8 +75,8 @@ def test_names_are_escaped_in_every_output(room: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_with_every_answer_whole(room: Path, number: signal.Signals) -> None:
     with subprocess.Popen(
-        TRACK, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=restored
-    ) as process:
+        TRACK, 0, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=restored
+    ) as process:  # without buffers, of which communicate would not know
         assert process.stdin is not None
         assert process.stdout is not None
         rows = "".join(f"a{k % 7},{1607400000 + k},-74.02,40.61\n" for k in range(20_000))
@@ -86,7 +86,7 @@ def test_signals_end_with_every_answer_whole(room: Path, number: signal.Signals)
         time.sleep(0.2)
         process.send_signal(number)
         out, err = process.communicate(timeout=60)
-    assert process.returncode == (130 if number == signal.SIGINT else 143)
+    assert process.returncode == (130 if number == signal.SIGINT else 143), err.decode()
     lines = (first + out).decode().splitlines()
     assert {len(row) for row in csv.reader(lines)} == {len(lines[0].split(","))}
     assert f"{len(lines) - 1:,} observation" in err.decode()

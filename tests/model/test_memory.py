@@ -138,8 +138,12 @@ def test_shares_are_told_between_horizons_and_kinds(model):
             np.testing.assert_allclose(out, past.shares[b, h], atol=1e-12)
     between(past, past.unusual[0] - 1.0, math.sqrt(past.horizons[0] * past.horizons[1]), out)
     np.testing.assert_allclose(out, past.shares[0, :2].mean(axis=0), atol=1e-9)
-    between(past, past.unusual[-1] + 1e9, 1e9, out)
+    between(past, past.unusual[-1], 1e9, out)
     np.testing.assert_allclose(out, past.shares[-1, -1], atol=1e-12)
+    plain = np.eye(7)[-1]  # where nobody was before, places say nothing
+    for times, share in ((1.5, 0.5), (2.0, 1.0), (1e9, 1.0)):
+        between(past, times * past.unusual[-1], 1e9, out)
+        np.testing.assert_allclose(out, (1 - share) * past.shares[-1, -1] + share * plain, atol=1e-12)
 
 
 def test_trees_leave_out_every_block_about_as_often():

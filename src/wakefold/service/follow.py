@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from wakefold.base.files import opened
+from wakefold.base.signals import held
 from wakefold.base.wording import counted
 from wakefold.service.agents import Crowd
 from wakefold.service.album import Album
@@ -91,9 +92,10 @@ def run(
                         lines.append(line_of(one.answer))
                         if album is not None:
                             album.add(one.seen, one.belief, crowd)
-                    answered += len(lines)
-                    out.write("".join(lines))
-                    out.flush()
+                    with held():
+                        out.write("".join(lines))
+                        out.flush()
+                        answered += len(lines)
         finally:
             tail = f", {counted(refused, 'line')} refused" if refused else ""
             crowd.remarks.totals()

@@ -20,6 +20,7 @@ from wakefold.model.kernels.states import heading, steps
 MAP, OWN, MEMBERS = 3, 3, 7
 NEEDS = (1, 4, 16, 4, 16, 64)  # past states in the neighbourhoods of the members
 TRIES = 20  # draws of a past state that reports speak for
+FAR = 2.0  # times the greatest novelty known: from there on places known say nothing
 
 
 class Trees(NamedTuple):
@@ -299,7 +300,10 @@ def doubt(past, strange):
 
 @inner
 def shares_at(past, strange, seconds, out):
-    """Shares ``out`` (7,) of the members, between those known for a novelty and a horizon (in its logarithm)."""
+    """Shares ``out`` (7,) of the members, between those known for a novelty and a horizon (in its logarithm).
+
+    Beyond the novelties known the last member, which takes no notice of the place, takes over.
+    """
     b, p = _kind(past, strange)
     h, q, last = 0, 0.0, len(past.horizons) - 1
     if seconds >= past.horizons[last]:
@@ -313,6 +317,12 @@ def shares_at(past, strange, seconds, out):
         near = past.shares[b, h, m] + q * (past.shares[b, later, m] - past.shares[b, h, m])
         far = past.shares[above, h, m] + q * (past.shares[above, later, m] - past.shares[above, h, m])
         out[m] = near + p * (far - near)
+    most = past.unusual[len(past.unusual) - 1]
+    if most > 0.0 and strange > most:
+        beyond = min((strange / most - 1.0) / (FAR - 1.0), 1.0)
+        for m in range(MEMBERS):
+            out[m] *= 1.0 - beyond
+        out[MEMBERS - 1] += beyond
 
 
 @inner
