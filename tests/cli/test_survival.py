@@ -1,19 +1,29 @@
 """A feed survives what happens to its streams, and ends with every answer whole."""
 
 import csv
+import fcntl
 import io
 import json
 import os
 import signal
 import subprocess
+import sys
+import termios
 import time
 from pathlib import Path
+from typing import IO
 
 import pytest
 from room import WAKEFOLD, fixes, run
 
 TRACK = [*WAKEFOLD, "track", "harbour.model", "-"]
 BAD = "agent,time,lon,lat\n" + "".join(f"a,never,1,{k}\n" for k in range(30)) + "a,2020-12-08T06:00:00Z,-74.02,40.61\n"
+
+
+@pytest.fixture(autouse=True, params=["", "1"], ids=["buffered", "unbuffered"])
+def buffers(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Standard streams with Python's buffers and without, as containers often set it."""
+    monkeypatch.setenv("PYTHONUNBUFFERED", request.param)
 
 
 def shell(line: str, given: str) -> subprocess.CompletedProcess[str]:
@@ -74,23 +84,37 @@ def test_names_are_escaped_in_every_output(room: Path) -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_with_every_answer_whole(room: Path, number: signal.Signals) -> None:
+    """The pipe is full and an answer half written when the signal comes."""
     with subprocess.Popen(
-        TRACK, 0, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, preexec_fn=restored
-    ) as process:  # without buffers, of which communicate would not know
+        TRACK,
+        0,  # without buffers, of which communicate would not know
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=restored,
+    ) as process:
         assert process.stdin is not None
         assert process.stdout is not None
         rows = "".join(f"a{k % 7},{1607400000 + k},-74.02,40.61\n" for k in range(20_000))
         os.set_blocking(process.stdin.fileno(), False)
         process.stdin.write(f"agent,time,lon,lat\n{rows}".encode()[:60_000])
         first = process.stdout.readline()
-        time.sleep(0.2)
+        before, waiting = -1, unread(process.stdout)
+        while before < waiting:
+            time.sleep(0.3)
+            before, waiting = waiting, unread(process.stdout)
         process.send_signal(number)
         out, err = process.communicate(timeout=60)
     assert process.returncode == (130 if number == signal.SIGINT else 143), err.decode()
+    assert len(first + out) > waiting > 50_000
     lines = (first + out).decode().splitlines()
     assert {len(row) for row in csv.reader(lines)} == {len(lines[0].split(","))}
     assert f"{len(lines) - 1:,} observation" in err.decode()
     assert "Traceback" not in err.decode()
+
+
+def unread(pipe: IO[bytes]) -> int:
+    return int.from_bytes(fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)), sys.byteorder)
 
 
 def restored() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import os
 import sys
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 
@@ -63,6 +63,10 @@ def main() -> None:
     if sys.stdout is None:
         console.say("error: standard output is closed")
         sys.exit(console.FAILED)
+    if isinstance(sys.stdout, io.TextIOWrapper) and isinstance(sys.stdout.buffer, io.RawIOBase):
+        # PYTHONUNBUFFERED or -u: without a buffer, what a write interrupted by a signal did not take is lost.
+        raw = cast(io.RawIOBase, sys.stdout.detach())
+        sys.stdout = io.TextIOWrapper(io.BufferedWriter(raw), line_buffering=True)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(encoding="utf-8", errors="backslashreplace")

@@ -11,7 +11,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import wraps
-from typing import NoReturn, ParamSpec
+from typing import NoReturn, ParamSpec, TextIO
 
 import typer
 
@@ -34,8 +34,10 @@ def say(message: str) -> None:
 
 
 def _tell(text: str) -> None:
-    with suppress(OSError, ValueError, AttributeError):  # a full disk, a reader that is gone, a closed stream
+    try:
         print("\n".join(escaped(line) for line in text.split("\n")), file=sys.stderr, flush=True)
+    except (OSError, ValueError, AttributeError):  # a full disk, a reader that is gone, a closed stream
+        _forget(sys.stderr)
 
 
 def guarded(command: Callable[P, None]) -> Callable[P, None]:
@@ -82,12 +84,17 @@ def _ended_by_sigterm() -> Iterator[None]:
 
 
 def _let_go() -> None:
-    """Write what is left for standard output; if that fails, forget it: Python would try again at its end."""
+    """Write what is left for standard output; if that fails, forget it."""
     try:
         sys.stdout.flush()
     except (OSError, ValueError):
-        with suppress(OSError, ValueError):
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _forget(sys.stdout)
+
+
+def _forget(stream: TextIO) -> None:
+    """What cannot be written goes nowhere; Python would try again at its end, and fail."""
+    with suppress(OSError, ValueError, AttributeError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def fail(error: object) -> NoReturn:
