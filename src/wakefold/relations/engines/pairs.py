@@ -14,10 +14,10 @@ from wakefold.base.types import Floats, Ints
 from wakefold.relations.activities import begin
 from wakefold.relations.engines.objects import GONE, Objects, Settings
 from wakefold.relations.kernels import histories, turnover
-from wakefold.relations.kernels.objects import difference
-from wakefold.relations.kernels.pairs import FLOOR
 from wakefold.relations.kernels.histories import WIDTH
 from wakefold.relations.kernels.looks import Looks
+from wakefold.relations.kernels.objects import difference
+from wakefold.relations.kernels.pairs import FLOOR
 from wakefold.relations.kernels.predicates import truth
 from wakefold.relations.model import ConstantVelocity, PairEvidence, Relation, RelationalModel
 from wakefold.relations.motion import row

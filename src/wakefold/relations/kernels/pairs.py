@@ -9,7 +9,17 @@ from wakefold.base.compile import inner, kernel
 from wakefold.base.types import Bools, Floats, Ints
 from wakefold.relations.kernels.histories import MOST, WIDTH, absorb, copy, reduce
 from wakefold.relations.kernels.looks import log_ratio
-from wakefold.relations.kernels.predicates import blend, chance_of, depth_of, evaluate, own_of, shift_of
+from wakefold.relations.kernels.predicates import (
+    asks_own,
+    blend,
+    chance_of,
+    depth_of,
+    evaluate,
+    own_of,
+    reach_of,
+    shift_of,
+)
+from wakefold.relations.kernels.regions import FAR
 
 FLOOR = 1e-9  # a relation is never surer than this
 SURE = 1e-5  # a mode less probable is let go, if more than that can come back in a step
@@ -77,27 +87,31 @@ class Switches(NamedTuple):
 
 
 @inner
-def _move(row, motion, to):
-    """A Gaussian of a pair moved; its probability stays."""
-    f00, f01, f10, f11 = motion[0], motion[1], motion[2], motion[3]
-    ux, uy, wx, wy, pp, pv, vv = row[0], row[1], row[2], row[3], row[4], row[5], row[6]
-    to[0], to[1] = f00 * ux + f01 * wx, f00 * uy + f01 * wy
-    to[2], to[3] = f10 * ux + f11 * wx, f10 * uy + f11 * wy
-    to[4] = f00 * f00 * pp + 2.0 * f00 * f01 * pv + f01 * f01 * vv + motion[4]
-    to[5] = f00 * f10 * pp + (f00 * f11 + f01 * f10) * pv + f01 * f11 * vv + motion[5]
-    to[6] = f10 * f10 * pp + 2.0 * f10 * f11 * pv + f11 * f11 * vv + motion[6]
-    to[7] = row[7]
+def _move(states, at, motions, mode, to, h):
+    """The Gaussian of a pair in row ``at`` moved as in ``mode``, to row ``h``; its probability stays."""
+    f00, f01, f10, f11 = motions[mode, 0], motions[mode, 1], motions[mode, 2], motions[mode, 3]
+    ux, uy, wx, wy = states[at, 0], states[at, 1], states[at, 2], states[at, 3]
+    pp, pv, vv = states[at, 4], states[at, 5], states[at, 6]
+    to[h, 0], to[h, 1] = f00 * ux + f01 * wx, f00 * uy + f01 * wy
+    to[h, 2], to[h, 3] = f10 * ux + f11 * wx, f10 * uy + f11 * wy
+    to[h, 4] = f00 * f00 * pp + 2.0 * f00 * f01 * pv + f01 * f01 * vv + motions[mode, 4]
+    to[h, 5] = f00 * f10 * pp + (f00 * f11 + f01 * f10) * pv + f01 * f11 * vv + motions[mode, 5]
+    to[h, 6] = f10 * f10 * pp + 2.0 * f10 * f11 * pv + f11 * f11 * vv + motions[mode, 6]
+    to[h, 7] = states[at, 7]
 
 
 @inner
-def _see(row, zx, zy, variance):
-    """A Gaussian of a pair given its relative position; half the squared innovation and one over its variance."""
-    ex, ey, pp, pv = zx - row[0], zy - row[1], row[4], row[5]
-    s = 1.0 / (pp + variance)
+def _see(rows, h, a, b, z, variance):
+    """The Gaussian of a pair in row ``h`` given where both are; half the squared innovation, one over its variance."""
+    ex, ey = z[b, 0] - z[a, 0] - rows[h, 0], z[b, 1] - z[a, 1] - rows[h, 1]
+    pp, pv = rows[h, 4], rows[h, 5]
+    s = 1.0 / (pp + (variance[a] + variance[b]))
     g0, g1 = pp * s, pv * s
-    row[0], row[1] = row[0] + g0 * ex, row[1] + g0 * ey
-    row[2], row[3] = row[2] + g1 * ex, row[3] + g1 * ey
-    row[4], row[5], row[6] = (1.0 - g0) * pp, (1.0 - g0) * pv, row[6] - g1 * pv
+    rows[h, 0] += g0 * ex
+    rows[h, 1] += g0 * ey
+    rows[h, 2] += g1 * ex
+    rows[h, 3] += g1 * ey
+    rows[h, 4], rows[h, 5], rows[h, 6] = (1.0 - g0) * pp, (1.0 - g0) * pv, rows[h, 6] - g1 * pv
     return 0.5 * s * (ex * ex + ey * ey), s
 
 
@@ -219,7 +233,7 @@ def step(held, objects, law, looks, switched, out):
     """
     first, second, p, counts, states = held.first, held.second, held.p, held.counts, held.states
     z, variance, seen, known = objects.z, objects.variance, objects.seen, objects.known
-    chances, share = law.chances, looks.share
+    chances, motions, share = law.chances, law.motions, looks.share
     before, on, off = switched.before, switched.on, switched.off
     f, inside, yes, turn = (
         np.empty((2 * MOST, WIDTH)),
@@ -231,19 +245,32 @@ def step(held, objects, law, looks, switched, out):
     one, inverse, own, kept = np.empty(WIDTH), np.empty(MOST + 1), np.zeros(8), np.empty((depth_of(law.ops), WIDTH))
     returns = chances[0, 0] > SURE, min(chances[0, 1], chances[1, 1]) > SURE
     looked = looks.table.size > 0
+    asked, reach = looked or asks_own(law.ops), reach_of(law.ops, law.numbers)
+    never_on = max(chances[1, 0], chances[2, 0]) < SURE
     at = to = 0
     for i in range(len(first)):
         a, b, middle = first[i], second[i], counts[i, 0]
         many = middle + counts[i, 1]
         both, sure = seen[a] and seen[b], known[a] and known[b]
-        own_of(a, b, objects.mean, objects.cov, own)
+        if many == 1 and middle == 1 and reach > 0.0 and never_on:  # most pairs of a crowd
+            _move(states, at, motions, 0, out, to)
+            if both:
+                _see(out, to, a, b, z, variance)
+            far = math.sqrt(out[to, 0] * out[to, 0] + out[to, 1] * out[to, 1]) - reach
+            if far > 0.0 and far * far > FAR * out[to, 4]:
+                out[to, 7] = 1.0
+                p[i] = before[i] = FLOOR
+                on[i], off[i] = chance_of(0, 0.0, sure, chances), chance_of(1, 0.0, sure, chances)
+                at += 1
+                to += 1
+                continue
+        if asked:
+            own_of(a, b, objects.mean, objects.cov, own)
         for h in range(many):
-            _move(states[at], law.motions[1 if h >= middle else 0], f[h])
+            _move(states, at, motions, 1 if h >= middle else 0, f, h)
             at += 1
             if both:
-                misfit[h], precision[h] = _see(
-                    f[h], z[b, 0] - z[a, 0], z[b, 1] - z[a, 1], variance[a] + variance[b]
-                )  # fmt: skip
+                misfit[h], precision[h] = _see(f, h, a, b, z, variance)
                 if looked and h >= middle:
                     misfit[h] -= share[i] * log_ratio(
                         f[h, 0], f[h, 1], f[h, 2], f[h, 3], own[0], own[1], own[2], own[3], looks

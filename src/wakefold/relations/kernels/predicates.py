@@ -23,6 +23,10 @@ def blend(g, inside, t, to):
     ``to`` may be one of the two. With T = g_o + (g_i - g_o) P the chance of an outcome that is g_i inside and g_o
     outside, t = (g_i - g_o) P / T gives the mean and the covariance, averaged over the axes, given the outcome.
     """
+    if t == 0.0:
+        for k in range(7):
+            to[k] = g[k]
+        return
     d0, d1, d2, d3 = inside[0] - g[0], inside[1] - g[1], inside[2] - g[2], inside[3] - g[3]
     s = 0.5 * t * (1.0 - t)
     pp = max(g[4] + t * (inside[4] - g[4]) + s * (d0 * d0 + d1 * d1), LEAST * g[4])
@@ -107,6 +111,25 @@ def own_of(a, b, mean, cov, own):
     """What ``regions`` asks of objects ``a`` and ``b`` themselves, from (n, 2, 2), (n, 3), into ``own`` (8,)."""
     own[0], own[1], own[2], own[3] = mean[a, 1, 0], mean[a, 1, 1], mean[b, 1, 0], mean[b, 1, 1]
     own[4], own[5], own[6], own[7] = cov[a, 1], cov[a, 2], cov[b, 1], cov[b, 2]
+
+
+@inner
+def asks_own(ops):
+    """Whether a program asks for velocities of the objects themselves."""
+    for op in ops:
+        if op in (SLOW, AHEAD):
+            return True
+    return False
+
+
+@inner
+def reach_of(ops, numbers):
+    """How far apart two may be of whom a program's first statement holds; 0 where it does not say."""
+    if len(ops) > 0 and ops[0] == NEAR:
+        return numbers[0, 0]
+    if len(ops) > 0 and ops[0] == AHEAD:
+        return math.sqrt(numbers[0, 0] ** 2 + numbers[0, 1] ** 2)
+    return 0.0
 
 
 @inner
