@@ -144,7 +144,7 @@ def _rest(many, f, inside, yes, one):
         left -= f[h, 7] * yes[h]
     for k in range(7):
         one[k] = inside[0, k]
-    if left < LEFT * whole:
+    if left <= LEFT * whole:
         return max(left, 0.0)
     d0 = d1 = d2 = d3 = 0.0
     pp, pv, vv = whole * one[4], whole * one[5], whole * one[6]
