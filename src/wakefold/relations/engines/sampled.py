@@ -118,14 +118,16 @@ def _look(
             kernel.assign(mean, cov, offers_of, logs, s.hypotheses, GATE, u[:, members[0]].copy(), choice, gain)
             detected = choice >= 0
         after = before + gain
-        total = float(np.logaddexp.reduce(after))
+        top = after.max()
+        after = after - top  # first: beside a large number the logarithm of how many there are is lost
+        total = np.logaddexp.reduce(after)
         after = after - total
-        evidence += total
+        evidence += float(top + total)
         weights = small.exp(after)
         still = np.where(
             detected, 1.0, exist(np.broadcast_to(existence[members], detected.shape), detected, chance[:, members])
         )
-        existence[members] = small.mean(weights, still)
+        existence[members] = np.clip(small.mean(weights, still), 0.0, 1.0)  # weights sum to 1 but for rounding
         if blind is not None:
             narrow(mean, cov, ~detected, members, blind)
         unseen[members] = np.where(small.mean(weights, detected.astype(np.float64)) >= 0.5, 0.0, unseen[members])
@@ -195,6 +197,7 @@ def _potentials(s: Settings, objects: Objects, particles: Particles, pairs: list
 def _normalise(particles: Particles) -> None:
     logs = particles.log_weights
     if logs.shape[1]:
+        logs -= logs.max(axis=0)
         logs -= np.logaddexp.reduce(logs, axis=0)
 
 

@@ -129,8 +129,8 @@ def _weigh(many, f, told, misfit, precision):
         f[h, 7] = f[h, 7] * fits if told or h > 0 else fits
         total += f[h, 7]
     if not told:  # as shares of the Gaussian of all histories
-        whole, total = f[0, 7], max(total - f[0, 7], f[0, 7])
-        f[0, 7] = whole - (total - whole if total > whole else 0.0)
+        whole, related = f[0, 7], total - f[0, 7]
+        f[0, 7], total = max(whole - related, 0.0), max(whole, related)
     total = 1.0 / total
     for h in range(many):
         f[h, 7] = max(f[h, 7] * total, FLOOR)

@@ -116,10 +116,10 @@ def own_of(a, b, mean, cov, own):
 @inner
 def asks_own(ops):
     """Whether a program asks for velocities of the objects themselves."""
+    asked = False
     for op in ops:
-        if op in (SLOW, AHEAD):
-            return True
-    return False
+        asked = asked or op in (SLOW, AHEAD)
+    return asked
 
 
 @inner
