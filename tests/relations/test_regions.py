@@ -7,25 +7,24 @@ import pytest
 from numba import njit
 from scipy.stats import ncx2
 
-from wakefold.relations.kernels.predicates import blend, depth_of, evaluate
-from wakefold.relations.kernels.regions import ball
+from wakefold.relations.kernels import predicates, regions
 from wakefold.relations.model import ahead, closing, near, same_velocity, slow
 
 
 @njit
 def given(ops, numbers, g, own):
-    return evaluate(ops, numbers, g, own, True, np.empty((depth_of(ops), 8)))
+    return predicates.evaluate(ops, numbers, g, own, True, np.empty((predicates.depth_of(ops), 8)))
 
 
 @njit
 def balls(mean2, variance, radius):
-    return ball(mean2, variance, radius)
+    return regions.ball(mean2, variance, radius)
 
 
 @njit
 def parted(g, inside, t):
     out = np.empty(7)
-    blend(g, inside, t, out)
+    predicates.blend(g, inside, t, out)
     return out
 
 

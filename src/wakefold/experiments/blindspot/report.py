@@ -41,8 +41,9 @@ def section(title: str, by_scene: Results, folder: Path, seed: int) -> Section:
     text = [
         "The second experiment of the paper: a pair walks together, a third person follows, and all of them pass a "
         "blind spot. Detections carry no identities. The plain and the relational filter are the same "
-        "Rao-Blackwellised particle filter with the same motion, sensor, association and number of particles; the plain one knows no "
-        "relation. Beside them the same two with sampled objects, as in the paper, and ten times the particles.",
+        "Rao-Blackwellised particle filter with the same motion, sensor, association and number of particles; the "
+        "plain one knows no relation. Beside them the two with sampled objects, as in the paper, and ten times the "
+        "particles.",
         "Intervals: 95 %, from 2,000 draws of the scenes with replacement.",
     ]
     shown = by_scene[SHOWN]

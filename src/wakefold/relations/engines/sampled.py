@@ -187,7 +187,7 @@ def _potentials(s: Settings, objects: Objects, particles: Particles, pairs: list
         flat = [np.ascontiguousarray(y.reshape(-1, y.shape[2])) for y in of]
         out = np.empty(len(flat[0]))
         seconds = looks(e, p.looked, dt)
-        log_ratios(*flat, seconds, out)
+        log_ratios(flat[0], flat[1], flat[2], flat[3], seconds, out)
         seen = (objects.unseen[p.first] == 0) & (objects.unseen[p.second] == 0)
         gain = np.where(p.bits & seen, seconds.share * out.reshape(p.bits.shape), 0.0)
         for k in np.flatnonzero(seen):
