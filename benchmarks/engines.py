@@ -127,5 +127,6 @@ def main(scenes: int = 200, particles: int = 100_000, engines: str = "collapsed"
 
 if __name__ == "__main__":
     rest = [argument for argument in sys.argv[1:] if argument != "--quick"]
-    numbers = [int(x) for x in rest[:2]] or ([4, 1_000] if "--quick" in sys.argv else [])
-    main(*numbers, *rest[2:])
+    few = (4, 1_000) if "--quick" in sys.argv else (200, 100_000)
+    numbers = [int(x) for x in rest[:2]] + list(few[len(rest[:2]) :])
+    main(numbers[0], numbers[1], *rest[2:])

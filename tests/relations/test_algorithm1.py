@@ -44,8 +44,8 @@ def test_random_pairs_are_as_by_algorithm_1(predicate, mean, absolute):
     """Sixteen scenes of two settings, a part of the table in docs/relational.md.
 
     Over twelve other sets of scenes the mean gap is -.005, +.004, -.015 (sd .008, .007, .013) and the absolute one
-    .035, .029, .046 (.007, .003, .006): the bounds are 4.1 sd away or more, false alarms below 1e-4. The engine that kept the
-    state as it was had .058, .099, .106 (.007, .011, .008): the last two are found with probability above .999.
+    .035, .029, .046 (.007, .003, .006): the bounds are 4.1 sd away or more, false alarms below 1e-4. The engine that
+    kept the state as it was had .058, .099, .106 (.007, .011, .008): the last two are found with probability .999.
     """
     gaps = []
     for rates in RATES.values():
