@@ -83,7 +83,7 @@ def of_scenes() -> Iterator[Named]:
     def sight(at: np.ndarray) -> np.ndarray:
         return np.where((at[:, 0] > 2.5) & (at[:, 0] < 4.0), 0.0, 0.95)
 
-    for engine in ("bootstrap", "adapted", "rbk", "collapsed"):
+    for engine in ("bootstrap", "rbk", "collapsed"):
         for case in ("ids", "no ids", "blind"):
             f = wf.RelationalFilter(model, engine, particles=60, gate=20.0, seed=2)
             scene, out = f.start(), []

@@ -14,7 +14,7 @@ from wakefold.relations.model import ahead, couple_velocity, follow_velocity, ne
 from wakefold.relations.motion import group, transition
 from wakefold.relations.scene import ParticleScene
 
-PARTICLES = ["bootstrap", "adapted", "rbk"]
+PARTICLES = ["bootstrap", "rbk"]
 
 
 def finite(scene):
@@ -76,7 +76,7 @@ def test_motion_known_by_draws_alone():
     scene = follow(f, fixes, ids=[7], detect_prob=1.0)
     assert (np.abs(scene.mean[0] - means[-1]) < np.sqrt(np.diag(covs[-1]))[:, None] / 8).all()
     assert scene.log_evidence == pytest.approx(log, abs=0.25)
-    for engine in ("adapted", "rbk", "collapsed"):
+    for engine in ("rbk", "collapsed"):
         with pytest.raises(ValueError, match="needs engine='bootstrap'"):
             wf.RelationalFilter(model, engine)
     bad = wf.RelationalModel({"person": wf.Sampler(lambda x, v, dt, rng: (x * np.nan, v))})
@@ -181,9 +181,7 @@ def test_several_relations_at_once(engine, tmp_path):
     assert len(scene.activities("stroll").probability) == 1
 
 
-@pytest.mark.parametrize(
-    ("engine", "particles", "seeds"), [("adapted", 1_000, 20), ("rbk", 100, 4), ("collapsed", 1, 1)]
-)
+@pytest.mark.parametrize(("engine", "particles", "seeds"), [("rbk", 100, 4), ("collapsed", 1, 1)])
 def test_several_relations_are_found(engine, particles, seeds):
     """Of one scene, over seeds: a chance of coming and going of .5 /s makes both likely after 3.6 s.
 
@@ -206,7 +204,7 @@ def test_several_relations_are_found(engine, particles, seeds):
 
 @pytest.mark.parametrize(
     ("engine", "particles", "seeds", "chance"),
-    [("bootstrap", 400, 40, 0.75), ("adapted", 400, 20, 0.95), ("rbk", 100, 20, 0.97)],
+    [("bootstrap", 400, 40, 0.75), ("rbk", 100, 20, 0.97)],
 )
 def test_three_related_in_a_chain_hold_together(engine, particles, seeds, chance):
     """Groups of three: everybody is tied to everybody, and the motion of all is one block.

@@ -25,8 +25,8 @@ from wakefold.relations.pairs import GaussianPairs, ParticlePairs
 from wakefold.relations.predicates import number
 from wakefold.relations.scene import CollapsedScene, Particles, ParticleScene, Scene, outline
 
-Engine = Literal["bootstrap", "adapted", "rbk", "collapsed"]
-ENGINES = ("bootstrap", "adapted", "rbk", "collapsed")
+Engine = Literal["bootstrap", "rbk", "collapsed"]
+ENGINES = ("bootstrap", "rbk", "collapsed")
 LONGEST = 1e10  # seconds of a step
 
 
@@ -36,16 +36,15 @@ class RelationalFilter:
     Engines, all of the same model and with the same answers:
 
     - "bootstrap": Algorithm 1 of the paper; objects and relations are sampled, then weighed by what is seen.
-    - "adapted": particles are weighed by how likely is what is seen, chosen, and their objects sampled given that.
     - "rbk": relations are sampled, objects follow by Kalman filter.
     - "collapsed": the relation of each pair is summed out; for hundreds of objects. No particles, no chance.
 
-    The first three keep joint hypotheses about sets of objects that may be related (blocks).
+    The first two keep joint hypotheses about sets of objects that may be related (blocks).
 
     Args:
         model: kinds of objects, relations, activities.
         engine: see above.
-        particles: of the first three engines.
+        particles: of the first two engines.
         gate: pairs farther apart than this, metres, are taken as unrelated.
         forget: seconds after which an object that is not seen is let go.
         cluster: most objects of a block.

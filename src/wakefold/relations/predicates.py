@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from wakefold.relations.kernels.codes import AHEAD, AND, CLOSING, NEAR, NOT, OR, SAME_VELOCITY, SEEN, SLOW, UNLESS
+from wakefold.relations.kernels.codes import AHEAD, BEGIN, CLOSING, NEAR, NOT, SAME_VELOCITY, SEEN, SLOW
 
 if TYPE_CHECKING:
     import numpy as np
@@ -19,28 +19,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Predicate:
-    """A statement about an ordered pair of objects, kept as a postfix program of (operation, constant, constant).
+    """A statement about an ordered pair of objects, kept as a program of (operation, constant, constant).
 
     Made by ``near``, ``same_velocity``, ``slow``, ``ahead``, ``closing`` and ``seen``; combined with ``&``, ``|``,
-    ``~``. Conjuncts are taken as independent given the belief about the objects.
+    ``~``. Under a Gaussian the second of two conjuncts is asked of what the first leaves, taken as Gaussian again.
     """
 
     program: tuple[tuple[int, float, float], ...]
 
     def __and__(self, other: Predicate) -> Predicate:
-        return self._with(other, AND, settled=0.0)
+        return Predicate((*self.program, *_predicate(other).program))
 
     def __or__(self, other: Predicate) -> Predicate:
-        return self._with(other, OR, settled=1.0)
+        return ~(~self & ~_predicate(other))
 
     def __invert__(self) -> Predicate:
-        return Predicate((*self.program, (NOT, 0.0, 0.0)))
-
-    def _with(self, other: Predicate, op: int, settled: float) -> Predicate:
-        if not isinstance(other, Predicate):
-            raise TypeError(f"a predicate combines with a predicate, got {other!r}")
-        skip = (UNLESS, float(len(other.program) + 1), settled)  # the second is not asked where the first settles it
-        return Predicate((*self.program, skip, *other.program, (op, 0.0, 0.0)))
+        return Predicate(((BEGIN, 0.0, 0.0), *self.program, (NOT, 0.0, 0.0)))
 
     def __bool__(self) -> bool:
         raise TypeError("combine predicates with & | ~, not with and, or, not")
@@ -51,6 +45,12 @@ class Predicate:
 
         rows = np.array(self.program, dtype=np.float64).reshape(-1, 3)
         return rows[:, 0].astype(np.int64), np.ascontiguousarray(rows[:, 1:])
+
+
+def _predicate(other: object) -> Predicate:
+    if not isinstance(other, Predicate):
+        raise TypeError(f"a predicate combines with a predicate, got {other!r}")
+    return other
 
 
 def _one(op: int, first: float = 0.0, second: float = 0.0) -> Predicate:

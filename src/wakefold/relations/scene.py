@@ -78,7 +78,7 @@ class ActivityTable(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Particles:
-    """Joint hypotheses about all objects (engines "bootstrap", "adapted", "rbk").
+    """Joint hypotheses about all objects (engines "bootstrap" and "rbk").
 
     Attributes:
         mean: ``(M, 2, n, d)`` positions and velocities, or their conditional means.
@@ -317,7 +317,7 @@ class CollapsedScene(Scene[GaussianPairs]):
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
 class ParticleScene(Scene[ParticlePairs]):
-    """Of the engines "bootstrap", "adapted" and "rbk".
+    """Of the engines "bootstrap" and "rbk".
 
     Attributes:
         particles: joint hypotheses about all objects.

@@ -26,6 +26,7 @@ from wakefold.relations.engines.pairs import (
     staying,
     switches,
 )
+from wakefold.relations.kernels import objects as alone
 from wakefold.relations.kernels import pairs as kernel
 from wakefold.relations.kernels.histories import WIDTH
 from wakefold.relations.model import Relation
@@ -40,8 +41,8 @@ def step(s: Settings, scene: CollapsedScene, scan: Detections | None, dt: float)
     model, objects = s.model, objects_of(scene, scene.own_mean, scene.own_cov)
     believed, spread = np.array(scene.mean), np.array(scene.cov)
     moves = motions(model, objects.kinds, dt)
-    kernel.predict(objects.mean, objects.cov, moves)
-    kernel.predict(believed, spread, moves)
+    alone.predict(objects.mean, objects.cov, moves)
+    alone.predict(believed, spread, moves)
     hidden = objects.unseen > 0  # what its company tells of a hidden object is the better prediction
     objects.mean[hidden], objects.cov[hidden] = believed[hidden], spread[hidden]
     objects.unseen[:] += dt
@@ -62,7 +63,7 @@ def step(s: Settings, scene: CollapsedScene, scan: Detections | None, dt: float)
     if scan is not None and seen.any():
         which = np.flatnonzero(seen)
         z[which], variance[which] = scan.positions[found[which]], scan.sd[found[which]] ** 2
-        evidence += kernel.update(objects.mean, objects.cov, which, z[which], variance[which])
+        evidence += alone.update(objects.mean, objects.cov, which, z[which], variance[which])
         objects.unseen[which] = 0.0
     objects = objects._replace(existence=existence)
     pairs = [
@@ -112,7 +113,9 @@ def _step_pairs(
     held = kernel.Held(pairs.first, pairs.second, p, counts, pairs.states)
     states = np.empty((len(pairs.states) + 2 * len(p), WIDTH))  # each mode may gain one
     seen_now = kernel.Seen(z, variance, seen, objects.unseen <= relation.seen_within, objects.mean, objects.cov)
-    law = kernel.Law(relative_motions(s.model, relation, dt), switches(relation, dt), *program(relation), s.histories)
+    told = relation.couples is not None or relation.evidence is not None
+    motions_of = relative_motions(s.model, relation, dt)
+    law = kernel.Law(motions_of, switches(relation, dt), *program(relation), s.histories, told)
     switched = kernel.Switches(np.empty_like(p), np.empty_like(p), np.empty_like(p))
     many = kernel.step(held, seen_now, law, looks(relation.evidence, pairs.looked, dt), switched, states)
     about = s.model.activities_of(relation)

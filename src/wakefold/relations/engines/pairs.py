@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,11 @@ from wakefold.base.types import Floats, Ints
 from wakefold.relations.activities import begin
 from wakefold.relations.engines.objects import GONE, Objects, Settings
 from wakefold.relations.kernels import histories, turnover
-from wakefold.relations.kernels import pairs as kernel
 from wakefold.relations.kernels.histories import WIDTH
 from wakefold.relations.kernels.looks import Looks
-from wakefold.relations.kernels.predicates import Features, truth
+from wakefold.relations.kernels.objects import difference
+from wakefold.relations.kernels.pairs import FLOOR
+from wakefold.relations.kernels.predicates import truth
 from wakefold.relations.model import ConstantVelocity, PairEvidence, Relation, RelationalModel
 from wakefold.relations.motion import row
 from wakefold.relations.pairs import GaussianPairs, Pairs, ParticlePairs
@@ -174,11 +175,11 @@ def begun(first: Ints, second: Ints, relation: Relation, objects: Objects) -> tu
     """
     count, d = len(first), objects.mean.shape[2]
     mean, cov = np.zeros((count, 2, d)), np.zeros((count, 3))
-    kernel.difference(first, second, objects.mean, objects.cov, mean, cov)
+    difference(first, second, objects.mean, objects.cov, mean, cov)
     p = np.full(count, relation.prior)
     if relation.prior > 0.0:
         p *= holds(relation, first, second, mean, cov, objects)
-    p = np.clip(p, kernel.FLOOR, 1.0 - kernel.FLOOR)
+    p = np.clip(p, FLOOR, 1.0 - FLOOR)
     states = np.empty((count, 2, WIDTH))
     states[:, :, :4], states[:, :, 4:7] = mean.reshape(count, 1, 4), cov[:, None]
     states[:, 0, 7], states[:, 1, 7] = 1.0 - p, p
@@ -193,10 +194,6 @@ def begun(first: Ints, second: Ints, relation: Relation, objects: Objects) -> tu
 
 def holds(relation: Relation, first: Ints, second: Ints, mean: Floats, cov: Floats, objects: Objects) -> Floats:
     """Probability of a relation's predicate for pairs with relative states ``mean (P, 2, d)``, ``cov (P, 3)``."""
-    out = np.empty(len(first))
-    known = np.maximum(objects.unseen[first], objects.unseen[second]) <= relation.seen_within
-    state: list[Any] = [mean[:, 0], mean[:, 1], cov[:, 0], cov[:, 2]]
-    state += [objects.mean[first, 1], objects.mean[second, 1], objects.cov[first, 2], objects.cov[second, 2]]
-    flat: list[Any] = [np.ascontiguousarray(x) for x in [*state, known]]
-    truth(program(relation), Features(*flat), out)
+    out, known = np.empty(len(first)), objects.unseen <= relation.seen_within
+    truth(program(relation), (first, second), (mean, cov), (objects.mean, objects.cov), known, out)
     return out

@@ -1,7 +1,7 @@
-"""The engines "bootstrap", "adapted" and "rbk": particles that hold the objects and the relations between them.
+"""The engines "bootstrap" and "rbk": particles that hold the objects and the relations between them.
 
-Algorithm 1 of Manfredotti et al. (2011). A particle holds each relation, and each object either sampled ("bootstrap",
-"adapted") or as a Gaussian given the relations ("rbk"). Objects that may be related make a block; blocks are weighed
+Algorithm 1 of Manfredotti et al. (2011). A particle holds each relation, and each object either sampled ("bootstrap")
+or as a Gaussian given the relations ("rbk"). Objects that may be related make a block; blocks are weighed
 and resampled on their own (a block particle filter, Rebeschini and van Handel 2015), so the number of particles needed
 goes by the size of a block and not of the scene.
 """
@@ -25,7 +25,6 @@ from wakefold.relations.engines.pairs import candidates, looks, program, refresh
 from wakefold.relations.engines.unseen import chances, narrow
 from wakefold.relations.kernels import sampled as kernel
 from wakefold.relations.kernels.looks import log_ratios
-from wakefold.relations.kernels.predicates import Features, truth
 from wakefold.relations.model import Relation
 from wakefold.relations.pairs import ParticlePairs
 from wakefold.relations.scene import Particles, ParticleScene
@@ -45,10 +44,6 @@ def step(s: Settings, scene: ParticleScene, scan: Detections | None, dt: float) 
     evidence, recoveries, fresh = 0.0, 0, np.zeros(0, dtype=np.int64)
     if scan is not None:
         objects, fresh, evidence, recoveries = _look(s, objects, particles, scan, rng)
-    if s.engine == "adapted":
-        if scan is not None:  # before objects are drawn: copies of one particle then part at once
-            particles, pairs = redraw(particles, tuple(pairs), rng, always=False)
-        _sample(particles, rng)
     _potentials(s, objects, particles, pairs, dt)
     _normalise(particles)
     # line 2: it reads the objects alone, so it may follow line 3
@@ -123,14 +118,16 @@ def _look(
             kernel.assign(mean, cov, offers_of, logs, s.hypotheses, GATE, u[:, members[0]].copy(), choice, gain)
             detected = choice >= 0
         after = before + gain
-        total = float(np.logaddexp.reduce(after))
+        top = after.max()
+        after = after - top  # first: beside a large number the logarithm of how many there are is lost
+        total = np.logaddexp.reduce(after)
         after = after - total
-        evidence += total
+        evidence += float(top + total)
         weights = small.exp(after)
         still = np.where(
             detected, 1.0, exist(np.broadcast_to(existence[members], detected.shape), detected, chance[:, members])
         )
-        existence[members] = small.mean(weights, still)
+        existence[members] = np.clip(small.mean(weights, still), 0.0, 1.0)  # weights sum to 1 but for rounding
         if blind is not None:
             narrow(mean, cov, ~detected, members, blind)
         unseen[members] = np.where(small.mean(weights, detected.astype(np.float64)) >= 0.5, 0.0, unseen[members])
@@ -179,33 +176,18 @@ def _sample(particles: Particles, rng: np.random.Generator) -> None:
     particles.cov[:] = 0.0
 
 
-def _relative(particles: Particles, pairs: ParticlePairs, objects: Objects, seen_within: float) -> Features:
-    """Features of M * P pairs."""
-    count, _, n, d = particles.mean.shape
-    a, b = pairs.first, pairs.second
-    x, v, cov = particles.mean[:, 0], particles.mean[:, 1], particles.cov
-    u, w = x[:, b] - x[:, a], v[:, b] - v[:, a]
-
-    def spread(i: Ints, j: Ints) -> Floats:
-        return np.maximum(cov[:, i, i] + cov[:, j, j] - 2.0 * cov[:, i, j], 0.0).reshape(-1)
-
-    known = np.maximum(objects.unseen[a], objects.unseen[b]) <= seen_within
-    known = np.broadcast_to(known, (count, len(a))).reshape(-1)
-    own = [np.maximum(cov[:, n + i, n + i], 0.0).reshape(-1) for i in (a, b)]
-    flat = [np.ascontiguousarray(y.reshape(-1, d)) for y in (u, w, v[:, a], v[:, b])]
-    return Features(flat[0], flat[1], spread(a, b), spread(n + a, n + b), flat[2], flat[3], own[0], own[1], known)
-
-
 def _potentials(s: Settings, objects: Objects, particles: Particles, pairs: list[ParticlePairs], dt: float) -> None:
     """What related pairs look like weighs the particles in which they are related, in place."""
     for relation, p in zip(s.model.relations, pairs, strict=True):
         e = relation.evidence
         if e is None or not len(p.first):
             continue
-        f = _relative(particles, p, objects, 0.0)
-        out = np.empty(len(f.u))
+        x, v = particles.mean[:, 0], particles.mean[:, 1]
+        of = (x[:, p.second] - x[:, p.first], v[:, p.second] - v[:, p.first], v[:, p.first], v[:, p.second])
+        flat = [np.ascontiguousarray(y.reshape(-1, y.shape[2])) for y in of]
+        out = np.empty(len(flat[0]))
         seconds = looks(e, p.looked, dt)
-        log_ratios(f.u, f.w, f.va, f.vb, seconds, out)
+        log_ratios(flat[0], flat[1], flat[2], flat[3], seconds, out)
         seen = (objects.unseen[p.first] == 0) & (objects.unseen[p.second] == 0)
         gain = np.where(p.bits & seen, seconds.share * out.reshape(p.bits.shape), 0.0)
         for k in np.flatnonzero(seen):
@@ -215,6 +197,7 @@ def _potentials(s: Settings, objects: Objects, particles: Particles, pairs: list
 def _normalise(particles: Particles) -> None:
     logs = particles.log_weights
     if logs.shape[1]:
+        logs -= logs.max(axis=0)
         logs -= np.logaddexp.reduce(logs, axis=0)
 
 
@@ -227,27 +210,35 @@ def _switch(
     dt: float,
     rng: np.random.Generator,
 ) -> ParticlePairs:
-    """Relations change given those of before and the objects of now (second factor of Eq. 1)."""
+    """Relations change given those of before and the objects of now (second factor of Eq. 1).
+
+    What a switch tells of objects that are Gaussians becomes part of them, in place, pair after pair.
+    """
     count, many = p.bits.shape
-    u = rng.random((count, many))
-    holds = np.empty(count * many)
-    features = _relative(particles, p, objects, relation.seen_within)
-    truth(program(relation), features, holds)
-    chances = switches(relation, dt)
-    holds, known = holds.reshape(count, many), features.seen.reshape(count, many)
-    on, off = (np.where(known, holds * c[0] + (1.0 - holds) * c[1], c[2]) for c in chances.T)
+    _, _, n, d = particles.mean.shape
+    u, bits = rng.random((many, count)), np.array(p.bits.T, order="C")
+    chance = np.empty((2, many, count))
+    known = objects.unseen <= relation.seen_within
+    law = (*program(relation), switches(relation, dt))
+    states = particles.mean.reshape(count, 2 * n, d)  # a view
+    rows = {label: rows_of(np.flatnonzero(particles.block == label), n) for label in set(particles.block.tolist())}
+    for k, (a, b) in enumerate(zip(p.first.tolist(), p.second.tolist(), strict=True)):
+        sure = bool(known[a] and known[b])
+        kernel.switch(
+            states, particles.cov, (a, b), rows[int(particles.block[a])], law, sure, u[k], bits[k], *chance[:, k]
+        )  # fmt: skip
+    on, off = chance.transpose(0, 2, 1)
     weights = small.exp(particles.log_weights[:, p.first])
     before = (weights * p.bits).sum(axis=0)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean_on = np.where(before < 1.0, (weights * ~p.bits * on).sum(axis=0) / (1.0 - before), 0.0)
         mean_off = np.where(before > 0.0, (weights * p.bits * off).sum(axis=0) / before, 0.0)
     mean_on, mean_off = np.clip(mean_on, 0.0, 1.0), np.clip(mean_off, 0.0, 1.0)
-    bits = np.where(p.bits, u >= off, u < on)
     after = np.clip((weights * np.where(p.bits, 1.0 - off, on)).sum(axis=0), 0.0, 1.0)
     about = s.model.activities_of(relation)
     stages = tuple(advance(x, before, mean_on, mean_off, dt, a) for x, a in zip(p.stages, about, strict=True))
     both = (objects.unseen[p.first] == 0) & (objects.unseen[p.second] == 0)
-    return replace(p, p=after, looked=p.looked + dt * both, bits=bits, stages=stages)
+    return replace(p, p=after, looked=p.looked + dt * both, bits=np.ascontiguousarray(bits.T), stages=stages)
 
 
 def _turnover(
@@ -291,7 +282,7 @@ def _turnover(
         p.bits[:, new] = u[:, new] < p.p[new]
         _settle(relation, p, particles, np.flatnonzero(new & (np.maximum(p.first, p.second) >= old)))
         out.append(p)
-    if s.engine == "bootstrap":  # "adapted" draws new objects once it has seen them again
+    if s.engine == "bootstrap":
         _sample(particles, rng)
     same = stays.all() and old == len(objects.ids) and particles.log_weights is before.log_weights
     if s.engine == "bootstrap" or not same:

@@ -1,8 +1,4 @@
-"""One step of the collapsed relational filter: objects by Kalman filters, each pair's relation summed out.
-
-All axes share one covariance (noise is the same along each), kept as (position, cross, velocity). A motion is
-(f00, f01, f10, f11, q00, q01, q11): x' = f00 x + f01 v, v' = f10 x + f11 v, and its noise.
-"""
+"""One step of the collapsed relational filter: each pair's relation summed out. Motions as in ``objects``."""
 
 import math
 from typing import NamedTuple
@@ -13,14 +9,21 @@ from wakefold.base.compile import inner, kernel
 from wakefold.base.types import Bools, Floats, Ints
 from wakefold.relations.kernels.histories import MOST, WIDTH, absorb, copy, reduce
 from wakefold.relations.kernels.looks import log_ratio
-from wakefold.relations.kernels.predicates import AT_ONCE, FEATURES, evaluate
+from wakefold.relations.kernels.predicates import (
+    asks_own,
+    blend,
+    chance_of,
+    depth_of,
+    evaluate,
+    own_of,
+    reach_of,
+    shift_of,
+)
+from wakefold.relations.kernels.regions import FAR
 
 FLOOR = 1e-9  # a relation is never surer than this
 SURE = 1e-5  # a mode less probable is let go, if more than that can come back in a step
-
-# Of a Gaussian being stepped, after the FEATURES that ``evaluate`` reads: covariance of position and velocity, half the
-# squared innovation over its variance, one over that variance, probability, and chance to switch.
-CROSS, MISFIT, PRECISION, WEIGHT, TURN = range(FEATURES, FEATURES + 5)
+LEFT = 0.05  # share of a Gaussian that is left at least, for it to be told what others are not
 
 
 class Held(NamedTuple):
@@ -64,6 +67,7 @@ class Law(NamedTuple):
         chances: (3, 2) of switching on and off where the predicate holds, where not, and where unknown.
         ops, numbers: of the predicate; no operations: it always holds.
         limit: Gaussians a pair may have in each mode.
+        told: whether motion or looks depend on the relation. If not, the unrelated Gaussian is that of all histories.
     """
 
     motions: Floats
@@ -71,6 +75,7 @@ class Law(NamedTuple):
     ops: Ints
     numbers: Floats
     limit: int
+    told: bool
 
 
 class Switches(NamedTuple):
@@ -82,170 +87,129 @@ class Switches(NamedTuple):
 
 
 @inner
-def _spread(c, k, motion):
-    """Predict the covariance at ``c[k : k + 3]`` in place."""
-    f00, f01, f10, f11 = motion[0], motion[1], motion[2], motion[3]
-    pp, pv, vv = c[k], c[k + 1], c[k + 2]
-    c[k] = f00 * f00 * pp + 2.0 * f00 * f01 * pv + f01 * f01 * vv + motion[4]
-    c[k + 1] = f00 * f10 * pp + (f00 * f11 + f01 * f10) * pv + f01 * f11 * vv + motion[5]
-    c[k + 2] = f10 * f10 * pp + 2.0 * f10 * f11 * pv + f11 * f11 * vv + motion[6]
+def _move(states, at, motions, mode, to, h):
+    """The Gaussian of a pair in row ``at`` moved as in ``mode``, to row ``h``; its probability stays."""
+    f00, f01, f10, f11 = motions[mode, 0], motions[mode, 1], motions[mode, 2], motions[mode, 3]
+    ux, uy, wx, wy = states[at, 0], states[at, 1], states[at, 2], states[at, 3]
+    pp, pv, vv = states[at, 4], states[at, 5], states[at, 6]
+    to[h, 0], to[h, 1] = f00 * ux + f01 * wx, f00 * uy + f01 * wy
+    to[h, 2], to[h, 3] = f10 * ux + f11 * wx, f10 * uy + f11 * wy
+    to[h, 4] = f00 * f00 * pp + 2.0 * f00 * f01 * pv + f01 * f01 * vv + motions[mode, 4]
+    to[h, 5] = f00 * f10 * pp + (f00 * f11 + f01 * f10) * pv + f01 * f11 * vv + motions[mode, 5]
+    to[h, 6] = f10 * f10 * pp + 2.0 * f10 * f11 * pv + f11 * f11 * vv + motions[mode, 6]
+    to[h, 7] = states[at, 7]
 
 
 @inner
-def _innovation(mean, cov, z, variance):
-    """Squared innovation over its variance, and that variance."""
-    away = 0.0
-    for k in range(len(z)):
-        away += (z[k] - mean[0, k]) ** 2
-    s = cov[0] + variance
-    return away / s, s
+def _see(rows, h, a, b, z, variance):
+    """The Gaussian of a pair in row ``h`` given where both are; half the squared innovation, one over its variance."""
+    ex, ey = z[b, 0] - z[a, 0] - rows[h, 0], z[b, 1] - z[a, 1] - rows[h, 1]
+    pp, pv = rows[h, 4], rows[h, 5]
+    s = 1.0 / (pp + (variance[a] + variance[b]))
+    g0, g1 = pp * s, pv * s
+    rows[h, 0] += g0 * ex
+    rows[h, 1] += g0 * ey
+    rows[h, 2] += g1 * ex
+    rows[h, 3] += g1 * ey
+    rows[h, 4], rows[h, 5], rows[h, 6] = (1.0 - g0) * pp, (1.0 - g0) * pv, rows[h, 6] - g1 * pv
+    return 0.5 * s * (ex * ex + ey * ey), s
 
 
 @inner
-def _update(mean, cov, z, s):
-    """Kalman update by a position; ``s``: variance of the innovation."""
-    g0, g1 = cov[0] / s, cov[1] / s
-    for k in range(len(z)):
-        away = z[k] - mean[0, k]
-        mean[0, k] += g0 * away
-        mean[1, k] += g1 * away
-    pp, pv = cov[0], cov[1]
-    cov[0] = (1.0 - g0) * pp
-    cov[1] = (1.0 - g0) * pv
-    cov[2] -= g1 * pv
-
-
-@kernel
-def predict(mean, cov, motion):
-    """Move n objects: ``mean`` (n, 2, d), ``cov`` (n, 3), in place, by ``motion`` (n, 7)."""
-    for i in range(len(mean)):
-        for k in range(mean.shape[2]):
-            x, v = mean[i, 0, k], mean[i, 1, k]
-            mean[i, 0, k] = motion[i, 0] * x + motion[i, 1] * v
-            mean[i, 1, k] = motion[i, 2] * x + motion[i, 3] * v
-        _spread(cov[i], 0, motion[i])
-
-
-@kernel
-def update(mean, cov, which, z, variance):
-    """Update objects ``which`` (m,) by positions ``z`` (m, d) in place; the log-likelihood of the positions."""
+def _weigh(many, f, told, misfit, precision):
+    """Probabilities of the Gaussians of a pair given what was seen, in place."""
+    best = 0
+    if told:
+        for h in range(1, many):
+            if misfit[h] < misfit[best]:
+                best = h
     total = 0.0
-    for j in range(len(which)):
-        i = which[j]
-        square, s = _innovation(mean[i], cov[i], z[j], variance[j])
-        total -= 0.5 * (square + z.shape[1] * math.log(2.0 * math.pi * s))
-        _update(mean[i], cov[i], z[j], s)
-    return total
-
-
-@kernel
-def difference(first, second, mean, cov, out_mean, out_cov):
-    """Relative state of independent objects, second minus first: ``out_mean`` (P, 2, d), ``out_cov`` (P, 3)."""
-    for i in range(len(first)):
-        a, b = first[i], second[i]
-        for j in range(2):
-            for k in range(mean.shape[2]):
-                out_mean[i, j, k] = mean[b, j, k] - mean[a, j, k]
-        for j in range(3):
-            out_cov[i, j] = cov[a, j] + cov[b, j]
-
-
-@inner
-def _move_and_see(many, pair, mode, row, held, objects, motions, f):
-    """Objects move as their relation of before says, and are seen, in ``many`` Gaussians of pairs.
-
-    Args:
-        pair, mode, row: of each Gaussian, the last in ``held.states``.
-        f: out: (TURN + 1, AT_ONCE) rows 0 to 5, ``CROSS``, ``MISFIT`` and ``PRECISION``.
-    """
-    first, second, states = held.first, held.second, held.states
-    z, variance, seen = objects.z, objects.variance, objects.seen
     for h in range(many):
-        m, k = motions[mode[h]], row[h]
-        ux, uy, wx, wy = states[k, 0], states[k, 1], states[k, 2], states[k, 3]
-        pp, pv, vv = states[k, 4], states[k, 5], states[k, 6]
-        f00, f01, f10, f11 = m[0], m[1], m[2], m[3]
-        ux, wx = f00 * ux + f01 * wx, f10 * ux + f11 * wx
-        uy, wy = f00 * uy + f01 * wy, f10 * uy + f11 * wy
-        pp, pv, vv = (
-            f00 * f00 * pp + 2.0 * f00 * f01 * pv + f01 * f01 * vv + m[4],
-            f00 * f10 * pp + (f00 * f11 + f01 * f10) * pv + f01 * f11 * vv + m[5],
-            f10 * f10 * pp + 2.0 * f10 * f11 * pv + f11 * f11 * vv + m[6],
-        )
-        a, b = first[pair[h]], second[pair[h]]
-        if seen[a] and seen[b]:
-            ex, ey = z[b, 0] - z[a, 0] - ux, z[b, 1] - z[a, 1] - uy
-            s = 1.0 / (pp + (variance[a] + variance[b]))
-            g0, g1 = pp * s, pv * s
-            ux, uy, wx, wy = ux + g0 * ex, uy + g0 * ey, wx + g1 * ex, wy + g1 * ey
-            vv -= g1 * pv
-            pp *= 1.0 - g0
-            pv *= 1.0 - g0
-            f[MISFIT, h], f[PRECISION, h] = 0.5 * s * (ex * ex + ey * ey), s
-        f[0, h], f[1, h], f[2, h], f[3, h], f[4, h], f[5, h], f[CROSS, h] = ux, uy, wx, wy, pp, vv, pv
-
-
-@inner
-def _weigh(lo, hi, f):
-    """Probabilities of the Gaussians ``lo:hi`` of a pair given what was seen, in place."""
-    best = lo
-    for h in range(lo + 1, hi):
-        if f[MISFIT, h] < f[MISFIT, best]:
-            best = h
-    total = 0.0
-    for h in range(lo, hi):
-        fits = f[PRECISION, h] if h == best else f[PRECISION, h] * math.exp(f[MISFIT, best] - f[MISFIT, h])
-        f[WEIGHT, h] *= fits
-        total += f[WEIGHT, h]
+        fits = precision[h] if h == best else precision[h] * math.exp(min(misfit[best] - misfit[h], 50.0))
+        f[h, 7] = f[h, 7] * fits if told or h > 0 else fits
+        total += f[h, 7]
+    if not told:  # as shares of the Gaussian of all histories
+        whole, related = f[0, 7], total - f[0, 7]
+        f[0, 7], total = max(whole - related, 0.0), max(whole, related)
     total = 1.0 / total
-    for h in range(lo, hi):
-        f[WEIGHT, h] = max(f[WEIGHT, h] * total, FLOOR)
+    for h in range(many):
+        f[h, 7] = max(f[h, 7] * total, FLOOR)
 
 
 @inner
-def _row(h, f, weight, row):
-    """The Gaussian at ``h`` with a probability, as a row."""
-    row[0], row[1], row[2], row[3] = f[0, h], f[1, h], f[2, h], f[3, h]
-    row[4], row[5], row[6], row[7] = f[4, h], f[CROSS, h], f[5, h], weight
+def _rest(many, f, inside, yes, one):
+    """Given the predicate, the Gaussian of all histories less those related, into ``one``; its share of all that is."""
+    whole = left = yes[0]
+    for h in range(1, many):
+        left -= f[h, 7] * yes[h]
+    for k in range(7):
+        one[k] = inside[0, k]
+    if left <= LEFT * whole:
+        return max(left, 0.0)
+    d0 = d1 = d2 = d3 = 0.0
+    pp, pv, vv = whole * one[4], whole * one[5], whole * one[6]
+    for h in range(1, many):
+        w, row = f[h, 7] * yes[h], inside[h]
+        e0, e1, e2, e3 = row[0] - one[0], row[1] - one[1], row[2] - one[2], row[3] - one[3]
+        d0 -= w * e0
+        d1 -= w * e1
+        d2 -= w * e2
+        d3 -= w * e3
+        pp -= w * (row[4] + 0.5 * (e0 * e0 + e1 * e1))
+        pv -= w * (row[5] + 0.5 * (e0 * e2 + e1 * e3))
+        vv -= w * (row[6] + 0.5 * (e2 * e2 + e3 * e3))
+    d0, d1, d2, d3 = d0 / left, d1 / left, d2 / left, d3 / left
+    one[0], one[1], one[2], one[3] = one[0] + d0, one[1] + d1, one[2] + d2, one[3] + d3
+    one[4] = max(pp / left - 0.5 * (d0 * d0 + d1 * d1), LEFT * one[4])
+    one[6] = max(vv / left - 0.5 * (d2 * d2 + d3 * d3), LEFT * one[6])
+    most = 0.999 * math.sqrt(one[4] * one[6])
+    one[5] = min(max(pv / left - 0.5 * (d0 * d2 + d1 * d3), -most), most)
+    return left
 
 
 @inner
-def _mode(stay, stays, come, comes, f, limit, rows, at, one, inverse):
+def _mode(way, stay, come, f, inside, yes, turn, known, law, rows, at, one, inverse):
     """Gaussians of a mode after a switch, into ``rows`` from ``at`` on: those that stayed and, as one, those that came.
 
     Args:
-        stay, stays: the Gaussians ``stay:stays`` were of this mode; ``come:comes`` of the other.
+        way: how a Gaussian leaves the mode: 0 on, 1 off.
+        stay, come: the Gaussians from the first to before the second of each were of this mode, and of the other.
+        f, inside, yes: Gaussians, these given the predicate, and its probability.
+        turn: chance of each to switch.
         one, inverse: to work on.
 
     Returns:
         How many there are, and their probability.
     """
     many, total = 0, 0.0
-    for h in range(stay, stays):
-        share = f[WEIGHT, h] * (1.0 - f[TURN, h])
+    for h in range(stay[0], stay[1]):
+        share = f[h, 7] * (1.0 - turn[h])
         if share > 0.0:
             total += share
-            _row(h, f, share, rows[at + many])
+            blend(f[h], inside[h], shift_of(way, False, yes[h], known, law.chances), rows[at + many])
+            rows[at + many, 7] = share
             many += 1
     here = many
-    for h in range(come, comes):
-        share = f[WEIGHT, h] * f[TURN, h]
-        if share > FLOOR * total:
-            if many == here:
-                _row(h, f, share, rows[at + here])
-                many += 1
-            else:
-                _row(h, f, share, one)
-                absorb(rows[at + here], one)
+    if not law.told and way == 1:
+        share = law.chances[0, 0] * _rest(come[1] + stay[1] - stay[0], f, inside, yes, one) if known else 0.0
+        if share > FLOOR * max(total, FLOOR):
+            copy(one, rows[at + here])
+            rows[at + here, 7] = share
+            many += 1
+    else:
+        for h in range(come[0], come[1]):
+            share = f[h, 7] * turn[h]
+            if share > FLOOR * total:
+                to = rows[at + here] if many == here else one
+                blend(f[h], inside[h], shift_of(1 - way, True, yes[h], known, law.chances), to)
+                to[7] = share
+                if many == here:
+                    many += 1
+                else:
+                    absorb(rows[at + here], one)
     if many > here:
         total += rows[at + here, 7]
-    return reduce(rows, at, many, limit, total, inverse), total
-
-
-@inner
-def _chance(way, yes, known, chances):
-    """Of a switch on (``way`` 0) or off (1) where the predicate holds with probability ``yes``; see ``step``."""
-    return yes * chances[0, way] + (1.0 - yes) * chances[1, way] if known else chances[2, way]
+    return reduce(rows, at, many, law.limit, total, inverse), total
 
 
 @kernel
@@ -254,9 +218,9 @@ def step(held, objects, law, looks, switched, out):
 
     A pair is a switching linear system of two modes, unrelated (0) and related (1), over its relative state (second
     minus first), in the order of Eq. 1: objects move as they were related before, are seen, and then the relation
-    changes as they are now. Each mode is a few Gaussians, one for each sort of history that led there: those that came
-    from the other mode in this step are one more, and the most alike are merged. Pairs go through this together, as
-    many as have ``AT_ONCE`` Gaussians, so that the predicate is interpreted once for all of them.
+    changes as they are now; a switch, and that there was none, tells of the state as far as its chance depends on the
+    predicate. Each mode is a few Gaussians, one for each sort of history that led there: those that came from the other
+    mode in this step are one more, and the most alike are merged.
 
     Args:
         held: the pairs before; ``p`` and ``counts`` are those after the step then.
@@ -268,80 +232,99 @@ def step(held, objects, law, looks, switched, out):
         How many rows of ``out`` there are.
     """
     first, second, p, counts, states = held.first, held.second, held.p, held.counts, held.states
-    seen, known, mean, cov = objects.seen, objects.known, objects.mean, objects.cov
-    chances, limit, share = law.chances, law.limit, looks.share
+    z, variance, seen, known = objects.z, objects.variance, objects.seen, objects.known
+    chances, motions, share = law.chances, law.motions, looks.share
     before, on, off = switched.before, switched.on, switched.off
-    pair, mode = np.empty(AT_ONCE, dtype=np.int64), np.empty(AT_ONCE, dtype=np.int64)
-    row, until = np.empty(AT_ONCE, dtype=np.int64), np.empty(AT_ONCE, dtype=np.int64)
-    f, stack = np.empty((TURN + 1, AT_ONCE)), np.empty((max(len(law.ops), 1), AT_ONCE))
-    f[MISFIT], f[PRECISION] = 0.0, 1.0
-    one, inverse = np.empty(WIDTH), np.empty(MOST + 1)
+    f, inside, yes, turn = (
+        np.empty((2 * MOST, WIDTH)),
+        np.empty((2 * MOST, WIDTH)),
+        np.empty(2 * MOST),
+        np.empty(2 * MOST),
+    )
+    misfit, precision = np.zeros(2 * MOST), np.ones(2 * MOST)
+    one, inverse, own, kept = np.empty(WIDTH), np.empty(MOST + 1), np.zeros(8), np.empty((depth_of(law.ops), WIDTH))
     returns = chances[0, 0] > SURE, min(chances[0, 1], chances[1, 1]) > SURE
     looked = looks.table.size > 0
-    lo = at = to = 0
-    while lo < len(first):
-        hi, many = lo, 0
-        while hi < len(first) and many + counts[hi, 0] + counts[hi, 1] <= AT_ONCE:
-            for h in range(counts[hi, 0] + counts[hi, 1]):
-                pair[many], row[many], mode[many] = hi, at, 1 if h >= counts[hi, 0] else 0
-                f[WEIGHT, many] = states[at, 7]
-                many += 1
+    asked, reach = looked or asks_own(law.ops), reach_of(law.ops, law.numbers)
+    never_on = max(chances[1, 0], chances[2, 0]) < SURE
+    at = to = 0
+    for i in range(len(first)):
+        a, b, middle = first[i], second[i], counts[i, 0]
+        many = middle + counts[i, 1]
+        both, sure = seen[a] and seen[b], known[a] and known[b]
+        if many == 1 and middle == 1 and reach > 0.0 and never_on:  # most pairs of a crowd
+            _move(states, at, motions, 0, out, to)
+            if both:
+                _see(out, to, a, b, z, variance)
+            far = math.sqrt(out[to, 0] * out[to, 0] + out[to, 1] * out[to, 1]) - reach
+            if far > 0.0 and far * far > FAR * out[to, 4]:
+                out[to, 7] = 1.0
+                p[i] = before[i] = FLOOR
+                on[i], off[i] = chance_of(0, 0.0, sure, chances), chance_of(1, 0.0, sure, chances)
                 at += 1
-            hi += 1
-        _move_and_see(many, pair, mode, row, held, objects, law.motions, f)
-        for h in range(many):
-            a, b = first[pair[h]], second[pair[h]]
-            f[6, h], f[7, h], f[8, h], f[9, h] = mean[a, 1, 0], mean[a, 1, 1], mean[b, 1, 0], mean[b, 1, 1]
-            f[10, h], f[11, h], f[12, h] = cov[a, 2], cov[b, 2], 1.0
-            if looked and mode[h] == 1 and seen[a] and seen[b]:
-                f[MISFIT, h] -= share[pair[h]] * log_ratio(
-                    f[0, h], f[1, h], f[2, h], f[3, h], f[6, h], f[7, h], f[8, h], f[9, h], looks
-                )  # fmt: skip
-        if len(law.ops) > 0:
-            evaluate(law.ops, law.numbers, many, f, until, stack)
-        else:
-            stack[0, :many] = 1.0
-        start = 0
-        for i in range(lo, hi):
-            a, b = first[i], second[i]
-            middle, end = start + counts[i, 0], start + counts[i, 0] + counts[i, 1]
-            if end > start + 1 and seen[a] and seen[b]:
-                _weigh(start, end, f)
-            sure = known[a] and known[b]
-            none = some = turned_on = turned_off = 0.0
-            for h in range(start, end):
-                f[TURN, h] = _chance(mode[h], stack[0, h], sure, chances)
-                if h < middle:
-                    none += f[WEIGHT, h]
-                    turned_on += f[WEIGHT, h] * f[TURN, h]
-                else:
-                    some += f[WEIGHT, h]
-                    turned_off += f[WEIGHT, h] * f[TURN, h]
-            before[i] = min(max(some / (none + some), FLOOR), 1.0 - FLOOR)
-            # a mode without a Gaussian switches as the other would
-            on[i] = turned_on / none if none > 0.0 else _chance(0, stack[0, start], sure, chances)
-            off[i] = turned_off / some if some > 0.0 else _chance(1, stack[0, start], sure, chances)
-            if end == start + 1 and turned_on + turned_off < SURE:
-                _row(start, f, 1.0, out[to])
-                p[i] = 1.0 - FLOOR if counts[i, 1] else FLOOR
                 to += 1
+                continue
+        if asked:
+            own_of(a, b, objects.mean, objects.cov, own)
+        for h in range(many):
+            _move(states, at, motions, 1 if h >= middle else 0, f, h)
+            at += 1
+            if both:
+                misfit[h], precision[h] = _see(f, h, a, b, z, variance)
+                if looked and h >= middle:
+                    misfit[h] -= share[i] * log_ratio(
+                        f[h, 0], f[h, 1], f[h, 2], f[h, 3], own[0], own[1], own[2], own[3], looks
+                    )  # fmt: skip
+        if both and many > 1:
+            _weigh(many, f, law.told, misfit, precision)
+        none = some = turned_on = turned_off = 0.0
+        for h in range(many):
+            copy(f[h], inside[h])
+            yes[h] = evaluate(law.ops, law.numbers, inside[h], own, sure, kept) if len(law.ops) else 1.0
+            turn[h] = chance_of(0 if h < middle else 1, yes[h], sure, chances)
+            if h < middle:
+                none += f[h, 7]
+                turned_on += f[h, 7] * turn[h]
             else:
-                off_many, none = _mode(start, middle, middle, end, f, limit, out, to, one, inverse)
-                on_many, some = _mode(middle, end, start, middle, f, limit, out, to + off_many, one, inverse)
-                if some < SURE and returns[0]:
-                    on_many, some = 0, 0.0
-                elif none < SURE and returns[1]:
-                    for k in range(on_many):
-                        copy(out[to + off_many + k], out[to + k])
-                    off_many, none = 0, 0.0
-                scale = 1.0 / (none + some)
-                for _ in range(off_many + on_many):
-                    out[to, 7] *= scale
-                    to += 1
-                counts[i, 0], counts[i, 1] = off_many, on_many
-                p[i] = min(max(some / (none + some), FLOOR), 1.0 - FLOOR)
-            start = end
-        lo = hi
+                some += f[h, 7]
+                turned_off += f[h, 7] * turn[h]
+        if many == 1 and turned_on + turned_off < SURE:
+            copy(f[0], out[to])
+            out[to, 7] = 1.0
+            p[i] = 1.0 - FLOOR if counts[i, 1] else FLOOR
+            before[i] = p[i]
+            on[i], off[i] = chance_of(0, yes[0], sure, chances), chance_of(1, yes[0], sure, chances)
+            to += 1
+            continue
+        before[i] = min(max(some / (none + some), FLOOR), 1.0 - FLOOR)
+        apart, related = (0, middle), (middle, many)
+        if law.told:
+            off_many, none_after = _mode(0, apart, related, f, inside, yes, turn, sure, law, out, to, one, inverse)
+        else:  # the Gaussian of all histories stays as it is
+            copy(f[0], out[to])
+            off_many, none_after = 1, 0.0
+        on_many, some_after = _mode(
+            1, related, apart, f, inside, yes, turn, sure, law, out, to + off_many, one, inverse
+        )  # fmt: skip
+        if not law.told:
+            turned_on = min(max(some_after - (some - turned_off), 0.0), none)
+            none_after = max(1.0 - some_after, FLOOR)
+            out[to, 7] = none_after
+        # a mode without a Gaussian switches as the other would
+        on[i] = turned_on / none if none > 0.0 else chance_of(0, yes[0], sure, chances)
+        off[i] = turned_off / some if some > 0.0 else chance_of(1, yes[0], sure, chances)
+        if some_after < SURE and returns[0]:
+            on_many, some_after = 0, 0.0
+        elif none_after < SURE and returns[1] and law.told:
+            for k in range(on_many):
+                copy(out[to + off_many + k], out[to + k])
+            off_many, none_after = 0, 0.0
+        scale = 1.0 / (none_after + some_after)
+        for _ in range(off_many + on_many):
+            out[to, 7] *= scale
+            to += 1
+        counts[i, 0], counts[i, 1] = off_many, on_many
+        p[i] = min(max(some_after * scale, FLOOR), 1.0 - FLOOR)
     return to
 
 

@@ -1,143 +1,161 @@
-"""Predicates about two objects, as small postfix programs over what is believed of the two.
+"""Predicates about two objects, as small programs over what is believed of the two.
 
-A predicate is the probability, under the Gaussian belief about the objects, that a statement holds. With no variance
-(sampled objects) it is 0 or 1.
+A program runs over a Gaussian of a pair, a row as in ``regions``. What a statement asks for, one part after the other,
+narrows the Gaussian, and the next part is asked of that; ``BEGIN`` keeps the Gaussian as it is, and at ``NOT`` it
+becomes that in which what was asked since does not hold. "a or b" is "not (not a and not b)".
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from wakefold.base.compile import inner, kernel
-from wakefold.relations.kernels.codes import AHEAD, AND, CLOSING, NEAR, NOT, OR, SAME_VELOCITY, SLOW, UNLESS
+from wakefold.relations.kernels.codes import AHEAD, BEGIN, CLOSING, NEAR, NOT, SAME_VELOCITY, SLOW
+from wakefold.relations.kernels.regions import LEAST, both_slow, in_front, nearing, within
 
-AT_ONCE = 64  # pairs: a program is interpreted once for so many of them
-FEATURES = 13
-
-
-class Features(NamedTuple):
-    """Of n pairs what a program asks for, in the order of ``evaluate``.
-
-    Attributes:
-        u, w: (n, 2) position and velocity of the second object less those of the first.
-        var, var_v: (n,) their variances per axis.
-        va, vb: (n, 2) velocities of both.
-        var_a, var_b: (n,) their variances per axis.
-        seen: (n,) whether both were seen lately.
-    """
-
-    u: NDArray[np.float64]
-    w: NDArray[np.float64]
-    var: NDArray[np.float64]
-    var_v: NDArray[np.float64]
-    va: NDArray[np.float64]
-    vb: NDArray[np.float64]
-    var_a: NDArray[np.float64]
-    var_b: NDArray[np.float64]
-    seen: NDArray[np.bool_]
+NEVER = 1e-12  # what is less probable is taken to be impossible
 
 
 @inner
-def ball(mean2, variance, radius):
-    """Probability that a Gaussian point of the plane lies within ``radius`` of the origin.
+def blend(g, inside, t, to):
+    """The Gaussian ``g`` with a share ``t`` of what it is ``inside`` a region, into ``to``; with t < 0 that outside.
+
+    ``to`` may be one of the two. With T = g_o + (g_i - g_o) P the chance of an outcome that is g_i inside and g_o
+    outside, t = (g_i - g_o) P / T gives the mean and the covariance, averaged over the axes, given the outcome.
+    """
+    if t == 0.0:
+        for k in range(7):
+            to[k] = g[k]
+        return
+    d0, d1, d2, d3 = inside[0] - g[0], inside[1] - g[1], inside[2] - g[2], inside[3] - g[3]
+    s = 0.5 * t * (1.0 - t)
+    pp = max(g[4] + t * (inside[4] - g[4]) + s * (d0 * d0 + d1 * d1), LEAST * g[4])
+    vv = max(g[6] + t * (inside[6] - g[6]) + s * (d2 * d2 + d3 * d3), LEAST * g[6])
+    most = 0.999 * math.sqrt(max(pp * vv, 0.0))
+    pv = min(max(g[5] + t * (inside[5] - g[5]) + s * (d0 * d2 + d1 * d3), -most), most)
+    to[0], to[1], to[2], to[3] = g[0] + t * d0, g[1] + t * d1, g[2] + t * d2, g[3] + t * d3
+    to[4], to[5], to[6] = pp, pv, vv
+
+
+@inner
+def evaluate(ops, numbers, g, own, seen, kept):
+    """Probability that a program's statement holds; ``g`` given that it does, in place (if that is possible).
 
     Args:
-        mean2: squared length of its mean.
-        variance: per axis.
-
-    The non-central chi-squared law by Sankaran (Biometrika 1963, 50: 199-204), good to .005; beyond five standard
-    deviations 0 or 1.
+        ops: (n,) operations; numbers: (n, 2) their constants.
+        g, own: a Gaussian of a pair, and of the two: see ``regions``.
+        seen: whether both were seen lately.
+        kept: (depth, 8) to work on: Gaussians as they were at ``BEGIN``, and probabilities up to there.
     """
-    if variance <= 0.0:
-        return 1.0 if mean2 <= radius * radius else 0.0
-    away = math.sqrt(mean2) - radius
-    if away * abs(away) > 25.0 * variance:
+    depth, p, at = 0, 1.0, 0
+    while at < len(ops):
+        op, number = ops[at], numbers[at, 0]
+        if op == BEGIN:
+            for k in range(7):
+                kept[depth, k] = g[k]
+            kept[depth, 7] = p
+            depth += 1
+            p = 1.0
+        elif op == NOT:
+            depth -= 1
+            before = kept[depth]
+            if p < 1.0:
+                blend(before, g, -p / (1.0 - p), g)
+            p = before[7] * (1.0 - p)
+        elif op == NEAR:
+            p *= within(g, 0, number)
+        elif op == SAME_VELOCITY:
+            p *= within(g, 2, number)
+        elif op == SLOW:
+            p *= both_slow(g, own, number)
+        elif op == AHEAD:
+            p *= in_front(g, own, number, numbers[at, 1])
+        elif op == CLOSING:
+            p *= nearing(g, number)
+        elif not seen:
+            p = 0.0
+        at += 1
+        if p <= NEVER:  # the rest does not matter, up to the next ``NOT`` that belongs to it
+            p, deeper = 0.0, 0
+            while at < len(ops) and (deeper > 0 or ops[at] != NOT):
+                deeper += (ops[at] == BEGIN) - (ops[at] == NOT)
+                at += 1
+    return p
+
+
+@inner
+def chance_of(way, yes, known, chances):
+    """Of a switch on (``way`` 0) or off (1) where the predicate holds with probability ``yes``.
+
+    Args:
+        known: whether both objects were seen lately.
+        chances: (3, 2) of switching on and off where the predicate holds, where not, and where unknown.
+    """
+    return yes * chances[0, way] + (1.0 - yes) * chances[1, way] if known else chances[2, way]
+
+
+@inner
+def shift_of(way, turned, yes, known, chances):
+    """Share ``t`` of ``blend`` of an outcome: that a Gaussian has ``turned``, or has not."""
+    if not known:
         return 0.0
-    if away * abs(away) < -25.0 * variance:
-        return 1.0
-    lam, x = mean2 / variance, radius * radius / variance
-    a, b = 2.0 + lam, 2.0 + 2.0 * lam
-    h = 1.0 - 2.0 / 3.0 * a * (2.0 + 3.0 * lam) / (b * b)
-    p = b / (a * a)
-    m = (h - 1.0) * (1.0 - 3.0 * h)
-    spread = h * math.sqrt(2.0 * p) * (1.0 + 0.5 * m * p)
-    z = ((x / a) ** h - (1.0 + h * p * (h - 1.0 - 0.5 * (2.0 - h) * m * p))) / spread
-    return 0.5 * math.erfc(-z * 0.7071067811865476)
+    inside, outside = chances[0, way], chances[1, way]
+    if not turned:
+        inside, outside = 1.0 - inside, 1.0 - outside
+    total = outside + (inside - outside) * yes
+    return (inside - outside) * yes / total if total > 0.0 else 0.0
 
 
 @inner
-def evaluate(ops, numbers, many, f, until, stack):
-    """Probability that a program's statement holds of ``many`` pairs, into ``stack[0]``; conjuncts are independent.
+def own_of(a, b, mean, cov, own):
+    """What ``regions`` asks of objects ``a`` and ``b`` themselves, from (n, 2, 2), (n, 3), into ``own`` (8,)."""
+    own[0], own[1], own[2], own[3] = mean[a, 1, 0], mean[a, 1, 1], mean[b, 1, 0], mean[b, 1, 1]
+    own[4], own[5], own[6], own[7] = cov[a, 1], cov[a, 2], cov[b, 1], cov[b, 2]
 
-    Args:
-        ops: (n,) operations in postfix order.
-        numbers: (n, 2) their constants.
-        f: (FEATURES, AT_ONCE) of the pairs: relative position (0, 1) and velocity (2, 3), second minus first; their
-            variances per axis (4, 5); velocity of the first (6, 7) and the second (8, 9); their variances (10, 11);
-            whether both are seen (12).
-        until: (AT_ONCE,) to work on: operations before this one are left out, as they cannot change the value.
-        stack: (n, AT_ONCE) to work on.
-    """
-    until[:many] = 0
-    top = -1
-    for at in range(len(ops)):
-        op, number, other = ops[at], numbers[at, 0], numbers[at, 1]
-        if op == UNLESS:
-            for i in range(many):
-                if until[i] <= at and stack[top, i] == other:
-                    until[i] = at + 1 + int(number)
-            continue
-        if op in (AND, OR):
-            top -= 1
-        elif op != NOT:
-            top += 1
-        for i in range(many):
-            if until[i] > at:
-                continue
-            if op == NOT:
-                stack[top, i] = 1.0 - stack[top, i]
-            elif op == AND:
-                stack[top, i] *= stack[top + 1, i]
-            elif op == OR:
-                stack[top, i] = 1.0 - (1.0 - stack[top, i]) * (1.0 - stack[top + 1, i])
-            elif op == NEAR:
-                stack[top, i] = ball(f[0, i] * f[0, i] + f[1, i] * f[1, i], f[4, i], number)
-            elif op == SAME_VELOCITY:
-                stack[top, i] = ball(f[2, i] * f[2, i] + f[3, i] * f[3, i], f[5, i], number)
-            elif op == SLOW:
-                first = ball(f[6, i] * f[6, i] + f[7, i] * f[7, i], f[10, i], number)
-                stack[top, i] = first * ball(f[8, i] * f[8, i] + f[9, i] * f[9, i], f[11, i], number)
-            elif op == AHEAD:
-                ux, uy, ax, ay = f[0, i], f[1, i], f[6, i], f[7, i]
-                speed = math.sqrt(ax * ax + ay * ay)
-                along = (ux * ax + uy * ay) / speed if speed > 0.0 else 0.0
-                beside = math.sqrt(max(ux * ux + uy * uy - along * along, 0.0))
-                stack[top, i] = 1.0 if 0.0 < along <= number and beside <= other else 0.0
-            elif op == CLOSING:
-                ux, uy, wx, wy = f[0, i], f[1, i], f[2, i], f[3, i]
-                distance = math.sqrt(ux * ux + uy * uy)
-                stack[top, i] = 1.0 if distance > 0.0 and -(ux * wx + uy * wy) >= number * distance else 0.0
-            else:
-                stack[top, i] = f[12, i]
+
+@inner
+def asks_own(ops):
+    """Whether a program asks for velocities of the objects themselves."""
+    asked = False
+    for op in ops:
+        asked = asked or op in (SLOW, AHEAD)
+    return asked
+
+
+@inner
+def reach_of(ops, numbers):
+    """How far apart two may be of whom a program's first statement holds; 0 where it does not say."""
+    if len(ops) > 0 and ops[0] == NEAR:
+        return numbers[0, 0]
+    if len(ops) > 0 and ops[0] == AHEAD:
+        return math.sqrt(numbers[0, 0] ** 2 + numbers[0, 1] ** 2)
+    return 0.0
+
+
+@inner
+def depth_of(ops):
+    """How many Gaussians a program keeps at most; at least 1."""
+    deep = most = 0
+    for op in ops:
+        deep += (op == BEGIN) - (op == NOT)
+        most = max(most, deep)
+    return max(most, 1)
 
 
 @kernel
-def truth(program, features, out):
-    """Probability that a program's statement holds of n pairs, into ``out``; 1 where the program is empty."""
-    (ops, numbers), (u, w, var, var_v, va, vb, var_a, var_b, seen) = program, features
-    f, until = np.empty((FEATURES, AT_ONCE)), np.empty(AT_ONCE, dtype=np.int64)
-    stack = np.empty((max(len(ops), 1), AT_ONCE))
-    if len(ops) == 0:
-        out[:] = 1.0
-        return
-    for lo in range(0, len(u), AT_ONCE):
-        many = min(AT_ONCE, len(u) - lo)
-        for i in range(many):
-            k = lo + i
-            f[0, i], f[1, i], f[2, i], f[3, i], f[4, i], f[5, i] = u[k, 0], u[k, 1], w[k, 0], w[k, 1], var[k], var_v[k]
-            f[6, i], f[7, i], f[8, i], f[9, i] = va[k, 0], va[k, 1], vb[k, 0], vb[k, 1]
-            f[10, i], f[11, i], f[12, i] = var_a[k], var_b[k], 1.0 if seen[k] else 0.0
-        evaluate(ops, numbers, many, f, until, stack)
-        out[lo : lo + many] = stack[0, :many]
+def truth(program, pairs, relative, objects, known, out):
+    """Probability that a program's statement holds of P pairs, into ``out``; 1 where the program is empty.
+
+    Args:
+        program: operations and their constants.
+        pairs: (P,), (P,) objects; relative: (P, 2, 2), (P, 3) their relative states.
+        objects: (n, 2, 2), (n, 3) the objects' own; known: (n,) whether they were seen lately.
+    """
+    (ops, numbers), (first, second), (u, spread), (mean, cov) = program, pairs, relative, objects
+    g, own, kept = np.empty(7), np.empty(8), np.empty((depth_of(ops), 8))
+    for i in range(len(first)):
+        a, b = first[i], second[i]
+        g[0], g[1], g[2], g[3] = u[i, 0, 0], u[i, 0, 1], u[i, 1, 0], u[i, 1, 1]
+        g[4], g[5], g[6] = spread[i, 0], spread[i, 1], spread[i, 2]
+        own_of(a, b, mean, cov, own)
+        out[i] = evaluate(ops, numbers, g, own, known[a] and known[b], kept)

@@ -9,6 +9,7 @@ import numpy as np
 
 from wakefold.base.compile import inner, kernel
 from wakefold.base.small import root, transform
+from wakefold.relations.kernels.predicates import blend, chance_of, depth_of, evaluate, shift_of
 
 
 @inner
@@ -168,3 +169,56 @@ def assign(mean, cov, seen, logs, beam, gate, u, choice, out):
         for i in range(n):
             choice[m, i] = picks[now, drawn, i]
         out[m] += peak + math.log(total_weight)
+
+
+@kernel
+def switch(mean, cov, pair, rows, law, known, u, bits, on, off):
+    """Draw in each of M particles whether a relation of a pair changes; its block is then known to be so, in place.
+
+    Args:
+        mean, cov: (M, D, d), (M, D, D): positions before velocities; ``pair``: the two objects; ``rows``: of the block.
+        law: operations and constants of the predicate, and chances as in ``pairs.Law``.
+        known: whether both objects were seen lately.
+        u: (M,) uniforms; bits: (M,) the relation, in place.
+        on, off: (M,) out: the chance of each particle to switch.
+    """
+    (ops, numbers, chances), (a, b) = law, pair
+    n = mean.shape[1] // 2
+    g, inside, own, kept = np.empty(8), np.empty(8), np.empty(8), np.empty((depth_of(ops), 8))
+    ku, kw = np.empty(len(rows)), np.empty(len(rows))
+    for m in range(len(mean)):
+        x, c = mean[m], cov[m]
+        g[0], g[1], g[2], g[3] = (
+            x[b, 0] - x[a, 0],
+            x[b, 1] - x[a, 1],
+            x[n + b, 0] - x[n + a, 0],
+            x[n + b, 1] - x[n + a, 1],
+        )
+        g[4] = max(c[a, a] + c[b, b] - 2.0 * c[a, b], 0.0)
+        g[5] = c[a, n + a] + c[b, n + b] - c[a, n + b] - c[b, n + a]
+        g[6] = max(c[n + a, n + a] + c[n + b, n + b] - 2.0 * c[n + a, n + b], 0.0)
+        own[0], own[1], own[2], own[3] = x[n + a, 0], x[n + a, 1], x[n + b, 0], x[n + b, 1]
+        own[4], own[5], own[6], own[7] = c[a, n + a], max(c[n + a, n + a], 0.0), c[b, n + b], max(c[n + b, n + b], 0.0)
+        inside[:] = g
+        yes = evaluate(ops, numbers, inside, own, known, kept) if len(ops) else 1.0
+        on[m], off[m] = chance_of(0, yes, known, chances), chance_of(1, yes, known, chances)
+        way = 1 if bits[m] else 0
+        turned = u[m] < (off[m] if way else on[m])
+        bits[m] = bits[m] != turned
+        det = g[4] * g[6] - g[5] * g[5]
+        if yes <= 0.0 or yes >= 1.0 or not det > 1e-6 * g[4] * g[6]:
+            continue
+        blend(g, inside, shift_of(way, turned, yes, known, chances), inside)
+        pp, pv, vv = (inside[4] - g[4]), (inside[5] - g[5]), (inside[6] - g[6])
+        for i in range(len(rows)):
+            r = rows[i]
+            cu, cw = c[r, b] - c[r, a], c[r, n + b] - c[r, n + a]
+            ku[i], kw[i] = (cu * g[6] - cw * g[5]) / det, (cw * g[4] - cu * g[5]) / det
+            for k in range(2):
+                x[r, k] += ku[i] * (inside[k] - g[k]) + kw[i] * (inside[2 + k] - g[2 + k])
+        for i in range(len(rows)):
+            for j in range(i + 1):
+                more = ku[i] * ku[j] * pp + (ku[i] * kw[j] + kw[i] * ku[j]) * pv + kw[i] * kw[j] * vv
+                c[rows[i], rows[j]] += more
+                if i != j:
+                    c[rows[j], rows[i]] += more
