@@ -7,6 +7,7 @@ so that it is well below the standard error.
 """
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -81,6 +82,9 @@ def test_one_straight_track_is_the_kalman_filter(kind):
     within([c[0, 0] for c in covariances], exact_variances[-1] * (1 - 1 / N), "variance along")
     within([c[1, 1] for c in covariances], exact_variances[-1] * (1 - 1 / N), "variance across")
     within([c[0, 1] for c in covariances], 0.0, "covariance")
+    if kind == "MHPF arxiv2016":
+        assert belief.log_evidence is None
+        return
     # log of an unbiased estimate is biased down by half its variance
     spread = np.var(likelihood, ddof=1)
     within(likelihood, exact_log - spread / 2, "log-likelihood")
@@ -98,8 +102,9 @@ def test_two_straight_tracks_are_the_kalman_mixture(kind):
     got, evidence = [], []
     for seed in range(SEEDS):
         make = wf.MHPF if kind == "MHPF" else wf.BL1
-        extra = {"rule": "gsi2017"} if kind == "MHPF" else {}
-        f = make(model, 4 * N, depletion=0.0, seed=seed, **extra)  # the share of a class is biased by O(1/N)
+        f = make(
+            model, 4 * N, depletion=0.0, seed=seed
+        )  # by its default rule; the share of a class is biased by O(1/N)
         belief = f.start(at="begin")
         for fix, dt in zip(fixes, dts, strict=True):
             belief = f.step(belief, [] if fix is None else [wf.Fix(fix)], dt=float(dt))
@@ -109,12 +114,29 @@ def test_two_straight_tracks_are_the_kalman_mixture(kind):
     within(evidence, log_evidence - np.var(evidence, ddof=1) / 2, "log-likelihood")
 
 
+def test_a_rule_that_is_not_bayes_warns_once_and_claims_no_evidence():
+    from wakefold.filters import mhpf
+
+    model = wf.learn(wf.Tracks.from_arrays([straight(v) for v in VELOCITIES]), scale=Q, sd=SD)
+    mhpf._warn_twice.cache_clear()
+    with pytest.warns(UserWarning, match="arxiv2016.*gsi2017"):
+        f = wf.MHPF(model, 10, rule="arxiv2016")
+    assert f.start().log_evidence is None
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        wf.MHPF(model, 10, rule="arxiv2016")  # said already
+        assert wf.MHPF(model, 10).rule == "gsi2017"
+        assert wf.MHPF(model, 10).start().log_evidence == 0.0
+        mhpf._warn_twice.cache_clear()
+        assert wf.MHPF(model, 10, rule="arxiv2016", likelihood="log").start().log_evidence is None
+
+
 def test_coarse_evidence_is_bayes_rule_on_the_classes():
     """Two tracks, one report of the class with confidence p and no fix: exact odds p : 1 - p."""
     model = wf.learn(wf.Tracks.from_arrays([straight(v) for v in VELOCITIES]), scale=Q, sd=SD)
     got, evidence = [], []
     for seed in range(SEEDS):
-        f = wf.MHPF(model, N, rule="gsi2017", depletion=0.0, seed=seed)
+        f = wf.MHPF(model, N, depletion=0.0, seed=seed)
         belief = f.step(f.start(at="begin"), [wf.CoarseClass(1, confidence=0.8)], dt=1.0)
         got.append(belief.probability(1))
         evidence.append(belief.log_evidence)

@@ -56,7 +56,7 @@ def track(
     filter: Annotated[
         FilterName, typer.Option(help="The filter that follows. An option that it does not read is refused.")
     ] = FilterName.trail,
-    rule: Annotated[RuleName | None, opt("Update rule of mhpf; arxiv2016 if not given.")] = None,
+    rule: Annotated[RuleName | None, opt("Update rule of mhpf; gsi2017 if not given.")] = None,
     likelihood: Annotated[
         LikelihoodName, typer.Option(help="How a fix weighs particles; log is the papers' way.")
     ] = LikelihoodName.gaussian,

@@ -43,7 +43,8 @@ class Belief(Remembers):
         log_weights: ``(N,)``, normalised.
         key, step: the agent's random stream and the number of steps taken.
         time: seconds UTC, or None when the filter was never told a time.
-        log_evidence: log marginal likelihood of all evidence so far; None for the "log" weights, which are no density.
+        log_evidence: log marginal likelihood of all evidence so far; None where there is none: for the "log" weights,
+            which are no density, and under the rule "arxiv2016" of MHPF, which is not Bayes'.
             One report that nothing explains makes it -inf for good.
         log_evidence_since: the same of the evidence after that at which the agent was last lost and found again; of
             all evidence while it never was. NaN where a belief stored by an older version does not tell.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
@@ -27,8 +28,9 @@ class MHPF(ParticleFilter[StackBelief]):
     """A bank of particle filters, one for each level of the filtration, consistent over the tree.
 
     Args:
-        rule: what the new class masses multiply after evidence: every set ("arxiv2016") or every set but the observed
-            one ("gsi2017").
+        rule: what the new class masses multiply after evidence: every set but the observed one ("gsi2017", which is
+            Bayes' rule with a proper likelihood) or every set ("arxiv2016", the papers' first, meant for the likelihood
+            "log": with a density it counts evidence about a track twice, and warns once).
         levels: the levels that keep particle sets: "all", a number of levels picked by ``Filtration.levels``, or
             heights in metres. Class probabilities are answered at any level all the same, and evidence may come at
             any level; the sets serve the estimates of a level and of the stack.
@@ -46,7 +48,7 @@ class MHPF(ParticleFilter[StackBelief]):
         model: Model,
         particles: int = 100,
         *,
-        rule: Rule = "arxiv2016",
+        rule: Rule = "gsi2017",
         levels: Literal["all"] | int | Sequence[float] | NDArray[np.float64] = 8,
         **settings: Any,
     ) -> None:
@@ -54,6 +56,8 @@ class MHPF(ParticleFilter[StackBelief]):
         if rule not in ("arxiv2016", "gsi2017"):
             raise ValueError(f"rule must be 'arxiv2016' or 'gsi2017', got {rule!r}")
         self.rule: Rule = rule
+        if rule == "arxiv2016" and self.likelihood != "log":
+            _warn_twice()
         tree = model.filtration
         inner = np.arange(len(tree.birth)) >= len(tree)
         if isinstance(levels, str):
@@ -67,6 +71,11 @@ class MHPF(ParticleFilter[StackBelief]):
             for level in self.levels:
                 self._used[tree.alive(level)] = True
             self._used &= inner
+
+    @property
+    def marginal(self) -> bool:
+        """Whether ``log_evidence`` is the log marginal likelihood: of a density, under the rule that is Bayes'."""
+        return super().marginal and self.rule == "gsi2017"
 
     def _remember(self) -> None:
         super()._remember()
@@ -110,6 +119,15 @@ class MHPF(ParticleFilter[StackBelief]):
 
     def _bare(self, belief: StackBelief) -> StackBelief:
         return replace(belief, stack=None)
+
+
+@lru_cache(maxsize=1)  # once a process
+def _warn_twice() -> None:
+    warnings.warn(
+        "rule 'arxiv2016' multiplies by the class masses twice: with a likelihood that is a density its probabilities "
+        "are not Bayes'; use rule 'gsi2017', or likelihood 'log' as in the papers",
+        stacklevel=3,
+    )
 
 
 class _Sets:

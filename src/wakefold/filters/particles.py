@@ -162,6 +162,11 @@ class ParticleFilter(ABC, Generic[Kind]):
         vars(self).update(state)
         self._remember()
 
+    @property
+    def marginal(self) -> bool:
+        """Whether ``log_evidence`` is the log marginal likelihood of the evidence taken; if not, it is None."""
+        return self.likelihood != "log"
+
     # Prior, step and forecast
 
     def start(
@@ -192,7 +197,7 @@ class ParticleFilter(ABC, Generic[Kind]):
             points = along(tracks, classes, share)
         if not self.single:
             classes = np.full(self.particles, tree.root)
-        evidence = None if self.likelihood == "log" else 0.0
+        evidence = 0.0 if self.marginal else None
         now = None if time is None else timestamp(time)
         started: Any = self.kind(
             tree, points, classes, self._even, key, time=now, log_evidence=evidence, log_evidence_since=evidence
