@@ -1,6 +1,7 @@
 """A save that is killed anywhere leaves the old store or the new one; readers meanwhile never fail."""
 
 import json
+import shutil
 import subprocess
 import sys
 
@@ -95,6 +96,55 @@ while True:
 print(json.dumps({"tries": n, "killed": killed, "ended": ended}))
 """
 
+BOUNDARIES = """
+import json, os, signal, subprocess, sys, time
+import numpy as np
+from wakefold.base import store
+
+folder, calls = sys.argv[1], sys.argv[2].split(",")
+path = os.path.join(folder, "model")
+
+
+def save(version):
+    store.save(path, {"x": np.full(20_000, version), "y": np.arange(version % 5)}, {"version": version}, "thing")
+
+
+def version():
+    arrays, meta = store.load(path, "thing")
+    assert (arrays["x"] == meta["version"]).all() and len(arrays["y"]) == meta["version"] % 5
+    return meta["version"]
+
+
+save(0)
+kills = {}
+for call in calls:
+    for nth in range(1, 1000):
+        old, new = version(), version() + 1
+        child = os.fork()
+        if child == 0:
+            os.kill(os.getpid(), signal.SIGSTOP)
+            save(new)
+            os._exit(0)
+        os.waitpid(child, os.WUNTRACED)
+        inject = ["-e", f"trace={call}", "-e", f"inject={call}:signal=KILL:when={nth}"]
+        tracer = subprocess.Popen(["strace", "-qq", "-o", "/dev/null", *inject, "-p", str(child)])
+        while f"TracerPid:\\t{tracer.pid}" not in open(f"/proc/{child}/status").read():
+            if tracer.poll() is not None:
+                os.kill(child, signal.SIGKILL)
+                sys.exit(print("{}"))
+            time.sleep(0.001)
+        os.kill(child, signal.SIGCONT)
+        status = os.waitpid(child, 0)[1]
+        tracer.wait()
+        ended = not os.WIFSIGNALED(status)
+        assert version() in ((new,) if ended else (old, new)), (call, nth)
+        if ended:
+            break
+    kills[call] = nth - 1
+    assert os.listdir(folder) == ["model"], os.listdir(folder)
+print(json.dumps(kills))
+"""
+
 READER = """
 import os, sys, time
 import numpy as np
@@ -133,6 +183,18 @@ def test_killed_at_every_line(tmp_path, mode):
 
 def test_killed_at_any_time(tmp_path):
     assert json.loads(run(KILLER, tmp_path, "random", 300))["killed"] == 300
+
+
+@pytest.mark.skipif(shutil.which("strace") is None, reason="needs strace")
+def test_killed_at_every_system_call(tmp_path):
+    """Killed on entering the first, second, ... call of each kind that a save makes, until one is not made again."""
+    changes = ["openat", "write", "close", "fsync", "mkdir", "rename", "renameat2", "unlink", "unlinkat", "rmdir"]
+    kills = json.loads(run(BOUNDARIES, tmp_path, ",".join(changes)))
+    if not kills:
+        pytest.skip("strace may not trace here")
+    assert kills["fsync"] > 2
+    assert kills["write"] > 2
+    assert sum(kills.values()) > 30
 
 
 def test_readers_never_fail_meanwhile(tmp_path):

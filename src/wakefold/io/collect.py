@@ -170,21 +170,23 @@ class Collector:
                 codes = [self._seen[value] for value in values]
             except KeyError:
                 codes = [self._code(value) for value in values]
-        table = np.array([*codes, -1], dtype=np.int32)
+        table = np.append(np.array(codes, dtype=np.int32), np.int32(-1))
         return table[encoded.indices.fill_null(len(codes)).to_numpy(zero_copy_only=False)]
 
-    def _codes_of_numbers(self, values: pa.Array) -> list[int] | None:
+    def _codes_of_numbers(self, values: pa.Array) -> NDArray[np.int64] | None:
         """The codes of many texts at once that are whole numbers without zeros in front; None if they are not."""
         if len(values) < MANY or self._spelled or not is_text(values):
             return None
         if not pc.all(pc.match_substring_regex(values, rf"^(0|[1-9][0-9]{{0,{LONGEST_NAME - 1}}})$")).as_py():
             return None
-        names = values.cast(pa.string()).to_pylist()
-        if self._codes.keys().isdisjoint(names):
-            codes = list(range(len(self._codes), len(self._codes) + len(names)))
-            self._codes.update(zip(names, codes, strict=True))
-            return codes
-        return [self._codes.setdefault(name, len(self._codes)) for name in names]
+        names = values.cast(pa.string()).to_numpy(zero_copy_only=False).tolist()
+        first = len(self._codes)
+        codes = np.fromiter(map(self._codes.setdefault, names, range(first, first + len(names))), np.int64, len(names))
+        new = codes >= first
+        if not new.all():  # without gaps
+            codes[new] = range(first, len(self._codes))
+            self._codes.update((names[i], int(codes[i])) for i in np.flatnonzero(new).tolist())
+        return codes
 
     def _code(self, value: Any) -> int:
         """Number of an agent given by its value; whole numbers are the same agent however they are written."""
